@@ -1,0 +1,28 @@
+"""How a material varies in space: smooth, periodic Gaussian random fields."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepfracture.types import Floats32
+
+from .lattice import Lattice
+
+
+def random_field(lattice: Lattice, length: float, rng: np.random.Generator) -> Floats32:
+    """A periodic Gaussian field of zero mean and unit variance, correlated over `length` [m], shape (n, n, n)."""
+    noise = np.fft.rfftn(rng.standard_normal((lattice.n,) * 3))
+    full = np.fft.fftfreq(lattice.n, lattice.spacing) * 2 * np.pi
+    half = np.fft.rfftfreq(lattice.n, lattice.spacing) * 2 * np.pi
+    squared = full[:, None, None] ** 2 + full[None, :, None] ** 2 + half[None, None, :] ** 2
+    field = np.fft.irfftn(noise * np.exp(-0.25 * squared * length**2), s=(lattice.n,) * 3)
+    field -= field.mean()
+    return (field / max(field.std(), 1e-12)).astype(np.float32)
+
+
+def waviness(lattice: Lattice, lengths: Sequence[float], rng: np.random.Generator) -> Floats32:
+    """Superposed fields, each as high as it is long: a self-affine surface over these lengths, unit variance."""
+    total = sum(length * random_field(lattice, length, rng) for length in lengths)
+    return (total / np.std(total)).astype(np.float32)
