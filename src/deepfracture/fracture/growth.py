@@ -41,16 +41,18 @@ class Front:
 
     status: np.ndarray
     arrival: Floats32
+    mouth: Floats32
+    """Tension that opens the wall here [Pa]."""
     drive: Floats32
+    """Its mean along the path of the front [Pa]."""
     broken: np.ndarray
     """1 where an earlier crack runs: a front stops there, in a T-junction."""
 
     @staticmethod
     def on(lattice: Lattice) -> Front:
         shape = (lattice.n,) * 3
-        return Front(
-            np.zeros(shape, np.uint8), np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
-        )
+        arrival, mouth, drive = (np.zeros(shape, np.float32) for _ in range(3))
+        return Front(np.zeros(shape, np.uint8), arrival, mouth, drive, np.zeros(shape, np.uint8))
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def _parent(status, arrival, i, j, k):
 
 
 @njit(cache=True)
-def march(sdf, wall, stress, sheet, toughness, status, arrival, drive, broken, seed, start, h, ratio, rise, speed, longest):
+def march(sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, broken, seed, start, h, ratio, rise, speed, longest):
     """Fast marching (a heap of arrival times) of the front from `seed` (fractional fine index).
 
     sdf: distance to the surface on the fine lattice [m]. On the coarse lattice: wall, the local thickness [m],
@@ -134,18 +136,22 @@ def march(sdf, wall, stress, sheet, toughness, status, arrival, drive, broken, s
         radius = np.sqrt((i - seed[0]) ** 2 + (j - seed[1]) ** 2 + (k - seed[2]) ** 2)
         local = _opening_stress(stress, x, y, z, nx, ny, nz)
         if radius <= nucleus:
-            reached, pull = start, max(local, 0.0)
+            reached, opening, pull = start, max(local, 0.0), max(local, 0.0)
         else:
             came, di, dj, dk = _parent(status, arrival, i, j, k)
             if came == np.inf:
                 continue
             step = np.sqrt(float(di * di + dj * dj + dk * dk)) * h
+            a = radius * h
             # The tension at a crack's mouth drives it through the wall although the far side is compressed:
             # under bending K_I of an edge crack never falls below that of the surface stress (Tada 2.13).
-            pull = max(local, drive[i + di, j + dj, k + dk] * np.exp(-step / interpolate(wall, x, y, z)))
+            before = mouth[i + di, j + dj, k + dk]
+            opening = max(local, before * np.exp(-step / interpolate(wall, x, y, z)))
+            # Along the wall K_I weighs the tension over the whole crack, not at its front alone (Tada 5.11).
+            past = drive[i + di, j + dj, k + dk]
+            pull = past + (opening - past) * min(step / a, 1.0)
             if pull <= 0:
                 continue
-            a = radius * h
             near = a / (a + max(sdf[i, j, k], 0.0))
             surface = min(1 / (1 - min(near * near * near, 0.9)), FREE_SURFACE_LIMIT)
             # Sneddon 1946: penny crack, K_I = 2 sigma sqrt(a / pi); then the free-surface factor
@@ -162,6 +168,7 @@ def march(sdf, wall, stress, sheet, toughness, status, arrival, drive, broken, s
                 continue
         arrival[i, j, k] = reached
         drive[i, j, k] = pull
+        mouth[i, j, k] = opening
         stopped = radius > nucleus and (sdf[i, j, k] < -h or broken[i, j, k] != 0)
         status[i, j, k] = STOPPED if stopped else FRONT
         cells.append((i, j, k))
@@ -181,7 +188,7 @@ def grow(
     """Grow one crack from `seed` [m] at time `start` [s]; marks nothing as broken."""  # fmt: skip
     index = (seed - fine.first_centre) / fine.spacing
     cells, found = march(
-        sdf, wall, stress, sheet, toughness, front.status, front.arrival, front.drive, front.broken, index, start,
+        sdf, wall, stress, sheet, toughness, front.status, front.arrival, front.mouth, front.drive, front.broken, index, start,
         fine.spacing, fine.spacing / coarse.spacing, ramp.rise, ramp.speed, ramp.longest,
     )  # fmt: skip
     voxels = np.array(cells, np.int64).reshape(-1, 3)

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.geometry import distance_to_points
+from deepfracture.carve import distance_to_cracks
 from deepfracture.progress import stage
 from deepfracture.types import Floats, Floats32, FracturePattern, Impact
 
 from .body import FractureBody
-from .contact import breaks, contact_of, tractions
+from .contact import breaks, contacts, tractions
 from .elastostatics import solve
 from .growth import Crack, Front, Ramp, grow
 from .interior import stress_at
@@ -92,7 +92,7 @@ def simulate(body: FractureBody, impact: Impact, rng: np.random.Generator) -> Cr
 
 def _load(body: FractureBody, impact: Impact, variation: Variation) -> tuple[StressState, Ramp]:
     """The elastic answer to the collision at peak load."""
-    contact = contact_of(impact, body.material)
+    contact = contacts(impact, body.material)[0]
     solution = solve(body.elastic, tractions(impact, body.material, body.elastic.mesh))
     stress = stress_at(solution, body.nodes)
     strength = body.material.strength * variation.strength[tuple(body.cells.T)].astype(float)
@@ -170,5 +170,5 @@ def _pattern(body: FractureBody, cut: np.ndarray, faces: Floats) -> FracturePatt
     where = index[parted] + np.eye(3)[axis[parted]] * faces[parted, 4, None]
     points = body.fine.first_centre + body.fine.spacing * where
     inner = (slice(MARGIN, -MARGIN),) * 3
-    distance = distance_to_points(body.grid, points, faces[parted, 5:])
+    distance = distance_to_cracks(body.grid, points, faces[parted, 5:])
     return FracturePattern(body.grid, labels[inner], distance)

@@ -179,13 +179,15 @@ def _box_distance2(px: float, py: float, pz: float, box: Floats):  # pragma: no 
 
 
 @njit(cache=True)
-def nearest(px: float, py: float, pz: float, tree: Tree, guess: int, stack: Ints):  # pragma: no cover
-    """Leaf position of the triangle nearest to p and its squared distance.
+def nearest(px: float, py: float, pz: float, tree: Tree, guess: int, limit: float, stack: Ints):  # pragma: no cover
+    """Leaf position of the triangle nearest to p and its squared distance, or guess and limit
+    when nothing is nearer than that.
 
     guess: any leaf position; a near one (the neighbour's answer) prunes the search.
+    limit: squared distance beyond which nobody asks.
     stack: scratch, at least the depth of the tree."""
     x, y, z = offset(px, py, pz, tree.corners[guess])
-    best, found = x * x + y * y + z * z, guess
+    best, found = min(limit, x * x + y * y + z * z), guess
     depth, node = 0, 0
     while True:
         child = tree.children[node]

@@ -1,0 +1,37 @@
+"""What all breakers share: the paper's criterion before, the cut of the original mesh after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from deepfracture.carve import cut
+from deepfracture.fracture import breaks
+from deepfracture.progress import stage
+from deepfracture.types import FracturePattern, Fragments, Impact, Material, Shape
+
+
+class PatternSource(Protocol):
+    """Says how a shape comes apart under an impact that passed the criterion; None if it holds."""
+
+    def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None: ...
+
+
+@dataclass(frozen=True)
+class PatternBreaker:
+    """A `Breaker` made of a pattern source: criterion (paper, eq. 2), pattern, cut."""
+
+    source: PatternSource
+    material: Material
+
+    def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
+        area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
+        if not breaks(impact, self.material, area):
+            return None
+        pattern = self.source(shape, impact, rng)
+        if pattern is None or pattern.count < 2:
+            return None
+        with stage("cut"):
+            return cut(shape, pattern, density=self.material.density)

@@ -1,0 +1,76 @@
+"""Breakers by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
+
+from .base import PatternBreaker, PatternSource
+
+BREAKERS = ("learned", "physical", "voronoi", "nearest")
+
+
+def make_breaker(
+    name: str, shape: Shape, material: Material, grid: Grid, *, model: Path | None = None, dataset: Path | None = None
+) -> Breaker:
+    """The breaker called `name` for `shape`; `model` overrides the shipped one, `nearest` looks into `dataset`.
+
+    Raises `BadInput` when the name is unknown, or when no trained model or data set exists for the shape."""
+    return PatternBreaker(_source(name, shape, material, grid, model, dataset), material)
+
+
+def _source(
+    name: str, shape: Shape, material: Material, grid: Grid, model: Path | None, dataset: Path | None
+) -> PatternSource:
+    if name == "physical":
+        from .physical import Physical
+
+        return Physical(material, grid)
+    if name == "voronoi":
+        from .voronoi import Voronoi
+
+        return Voronoi(material, grid)
+    if name == "learned":
+        return _learned(shape, model)
+    if name == "nearest":
+        return _nearest(shape, dataset)
+    raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}")
+
+
+def _learned(shape: Shape, path: Path | None) -> PatternSource:
+    from deepfracture.learn import embedded_model, load_model
+
+    from .learned import Learned
+
+    path = path or embedded_model(shape.name)
+    if path is None:
+        raise BadInput(
+            f"{shape.name}: no trained model for this shape; try --breaker physical, or train one: "
+            f"deepfracture simulate {shape.name} --out data && deepfracture train data --out model.safetensors"
+        )
+    model = load_model(path)
+    _same_shape(path, model.shape_name, shape.name)
+    return Learned(model)
+
+
+def _nearest(shape: Shape, path: Path | None) -> PatternSource:
+    from deepfracture.dataset import open_dataset
+
+    from .nearest import Nearest
+
+    if path is None:
+        raise BadInput(
+            f"{shape.name}: --breaker nearest recalls simulated patterns, name them with --dataset; "
+            f"make some: deepfracture simulate {shape.name} --out data"
+        )
+    dataset = open_dataset(path)
+    if len(dataset) == 0:
+        raise BadInput(f"{path}: no pattern in this data set yet; run deepfracture simulate again to go on with it")
+    _same_shape(path, dataset.shape.name, shape.name)
+    return Nearest(dataset)
+
+
+def _same_shape(path: Path, made_for: str, name: str) -> None:
+    if made_for != name:
+        raise BadInput(f"{path}: made for the shape {made_for!r}, not for {name!r}")

@@ -1,0 +1,209 @@
+"""Labels for every voxel that the body may touch, so that cells leave nothing of it out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from deepfracture.carve.parts import connected_labels
+from deepfracture.types import FracturePattern, Mesh
+
+MARGIN = 4
+"""Voxels added on every side of the grid: bodies touch its border, cells must reach past them."""
+DUST_VOXELS = 8
+"""A part of a label with fewer voxels joins its neighbours: too small to have a shape."""
+CLEAN_ROUNDS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class CellField:
+    """Labelled voxels around a body, on a padded copy of the pattern's grid."""
+
+    labels: np.ndarray
+    """Cell 1..n of each voxel, 0 far outside, int32, shape (m, m, m) with m = r + 2 MARGIN."""
+    distance: np.ndarray
+    """Distance to the cracks [voxels], negative where unknown, float32, same shape."""
+    count: int
+    """Number of cells n."""
+
+
+def cell_field(mesh: Mesh, pattern: FracturePattern) -> CellField:
+    """Extend the pattern's labels to all voxels that `mesh` touches or encloses and one voxel beyond.
+
+    The labels say little near the surface (a voxel whose centre is just outside has none), and nothing
+    about thin parts that run between voxel centres. Filled up like this, the cells hold the whole body
+    whatever the pattern says. Every cell is one face-connected part of one label.
+    """
+    index = pattern.grid.to_index(mesh.triangles) + MARGIN
+    labels = np.pad(pattern.labels, MARGIN)
+    distance = np.pad(pattern.distance, MARGIN) / np.float32(pattern.grid.spacing)
+    distance = np.where((labels > 0) & (distance > 0), distance, np.float32(-1))
+    body = np.zeros(labels.shape, np.bool_)
+    _mark_surface(index, body)
+    _mark_enclosed(body)
+    labels[~body] = 0
+    labels = _fill(labels, body)
+    labels = _without_dust(labels, body)
+    labels = connected_labels(labels)
+    for _ in range(CLEAN_ROUNDS):
+        if not _join_diagonals(labels):
+            break
+    for _ in range(1):
+        _grow(labels, np.ones_like(body))
+    return CellField(labels, distance.astype(np.float32), int(labels.max()))
+
+
+def _fill(labels: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Grow labels over the body; a part that no label reaches becomes a label of its own."""
+    while _grow(labels, body):
+        pass
+    left = body & (labels == 0)
+    if left.any():
+        labels = np.where(left, labels.max() + connected_labels(left.astype(np.int32)), labels)
+    return labels
+
+
+def _without_dust(labels: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Hand the voxels of tiny parts to their neighbours; the largest part stays in any case."""
+    parts = connected_labels(labels)
+    sizes = np.bincount(parts.ravel())
+    small = sizes < DUST_VOXELS
+    small[0] = False
+    if sizes[1:].max(initial=0) < DUST_VOXELS:
+        small[1 + np.argmax(sizes[1:])] = False
+    dust = small[parts]
+    if not dust.any():
+        return labels
+    return _fill(np.where(dust, 0, labels), body)
+
+
+@njit(cache=True)
+def _mark_surface(triangles: np.ndarray, mark: np.ndarray) -> None:
+    """Mark every voxel cube that a triangle may touch: its box, less what its plane misses.
+
+    `triangles` in fractional voxel indices, shape (n, 3, 3).
+    """
+    slack = 0.5 + 1e-6
+    low, high, normal = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3)
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        for x in range(3):
+            low[x] = max(int(np.ceil(min(a[x], b[x], c[x]) - slack)), 0)
+            high[x] = min(int(np.floor(max(a[x], b[x], c[x]) + slack)), mark.shape[x] - 1)
+            y, z = (x + 1) % 3, (x + 2) % 3
+            normal[x] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
+        reach = slack * np.abs(normal).sum()
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    off = (i - a[0]) * normal[0] + (j - a[1]) * normal[1] + (k - a[2]) * normal[2]
+                    if abs(off) <= reach:
+                        mark[i, j, k] = True
+
+
+@njit(cache=True)
+def _mark_enclosed(mark: np.ndarray) -> None:
+    """Mark also what the marked voxels shut off from the border of the array."""
+    n0, n1, n2 = mark.shape
+    outside = np.zeros(mark.shape, np.bool_)
+    stack = np.empty((mark.size, 3), np.int32)
+    stack[0] = 0
+    outside[0, 0, 0] = True
+    top = 1
+    while top > 0:
+        top -= 1
+        i, j, k = stack[top]
+        for n in range(6):
+            step = 1 - 2 * (n % 2)
+            x, y, z = i, j, k
+            if n < 2:
+                x += step
+            elif n < 4:
+                y += step
+            else:
+                z += step
+            if 0 <= x < n0 and 0 <= y < n1 and 0 <= z < n2 and not mark[x, y, z] and not outside[x, y, z]:
+                outside[x, y, z] = True
+                stack[top, 0], stack[top, 1], stack[top, 2] = x, y, z
+                top += 1
+    for i in range(n0):
+        for j in range(n1):
+            for k in range(n2):
+                mark[i, j, k] = not outside[i, j, k]
+
+
+@njit(cache=True)
+def _grow(labels: np.ndarray, where: np.ndarray) -> int:
+    """Label each empty voxel of `where` beside labelled ones as most of its 26 neighbours, near ones
+    counting more. Returns how many voxels were labelled."""
+    n0, n1, n2 = labels.shape
+    found = np.empty((labels.size, 4), np.int32)
+    count = 0
+    names, votes = np.empty(26, np.int32), np.empty(26)
+    for i in range(1, n0 - 1):
+        for j in range(1, n1 - 1):
+            for k in range(1, n2 - 1):
+                if labels[i, j, k] != 0 or not where[i, j, k]:
+                    continue
+                used = 0
+                for n in range(27):
+                    x, y, z = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
+                    name = labels[i + x, j + y, k + z]
+                    if name == 0:
+                        continue
+                    vote = 1.0 / (x * x + y * y + z * z)
+                    for u in range(used):
+                        if names[u] == name:
+                            votes[u] += vote
+                            break
+                    else:
+                        names[used], votes[used] = name, vote
+                        used += 1
+                if used:
+                    best = 0
+                    for u in range(1, used):
+                        if votes[u] > votes[best]:
+                            best = u
+                    found[count, 0], found[count, 1], found[count, 2] = i, j, k
+                    found[count, 3] = names[best]
+                    count += 1
+    for c in range(count):
+        labels[found[c, 0], found[c, 1], found[c, 2]] = found[c, 3]
+    return count
+
+
+@njit(cache=True)
+def _join_diagonals(labels: np.ndarray) -> int:
+    """Where two voxels of a label meet only along an edge, give one of the two between to the label.
+
+    A cell that touches itself along an edge has four faces there. Returns the number of changes."""
+    changes = 0
+    size = labels.shape
+    d, e = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for axis in range(3):
+        d[:] = 0
+        e[:] = 0
+        d[(axis + 1) % 3] = 1
+        e[(axis + 2) % 3] = 1
+        for i in range(size[0] - d[0] - e[0]):
+            for j in range(size[1] - d[1] - e[1]):
+                for k in range(size[2] - d[2] - e[2]):
+                    a = labels[i, j, k]
+                    b = labels[i + d[0], j + d[1], k + d[2]]
+                    c = labels[i + e[0], j + e[1], k + e[2]]
+                    f = labels[i + d[0] + e[0], j + d[1] + e[1], k + d[2] + e[2]]
+                    if a == f and a != 0 and b != a and c != a:
+                        if b == 0:
+                            labels[i + d[0], j + d[1], k + d[2]] = a
+                        else:
+                            labels[i + e[0], j + e[1], k + e[2]] = a
+                        changes += 1
+                    elif b == c and b != 0 and a != b and f != b:
+                        if a == 0:
+                            labels[i, j, k] = b
+                        else:
+                            labels[i + d[0] + e[0], j + d[1] + e[1], k + d[2] + e[2]] = b
+                        changes += 1
+    return changes

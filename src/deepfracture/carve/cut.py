@@ -1,0 +1,134 @@
+"""Fragments out of the original mesh: each cell of a pattern intersected with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepfracture.carve.cells import MARGIN, cell_field
+from deepfracture.carve.nets import Cells, surface_nets
+from deepfracture.geometry import mass_properties
+from deepfracture.types import BadInput, Fragment, FracturePattern, Fragments, Grid, Mesh, Shape
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold, Mesh64
+
+CRUMB_VOXELS = 4.0
+"""A piece below this volume [voxels] that the cut leaves over joins the neighbour it fits best."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """One connected piece of the cut body and the crack faces on it."""
+
+    solid: Manifold
+    volume: float
+    names: np.ndarray
+    """Names of the cells' faces that it shows, sorted, shape (n,)."""
+
+
+def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
+    """Cut the original mesh of a shape along a pattern's cracks.
+
+    Every fragment is one closed 2-manifold component; together they fill the original. Outside, their
+    triangles are the original's, untouched except where a crack crosses them; neighbours hold the same
+    crack vertices. Parts of a label that do not hang together become fragments of their own; dust joins
+    a neighbour (see `cells.DUST_VOXELS`, `CRUMB_VOXELS`).
+
+    Args:
+        shape: The whole body.
+        pattern: Its cracks, on any grid.
+        density: [kg/m^3]
+
+    Raises:
+        BadInput: The mesh is not closed and oriented, or density is not positive.
+    """
+    if not density > 0:
+        raise BadInput(f"density must be positive, got {density}")
+    body, body_id = _solid(shape.mesh.vertices, shape.mesh.faces)
+    if body.status().name != "NoError" or not body.volume() > 0:
+        raise BadInput(f"{shape.name}: cannot be cut, its mesh is not closed and oriented; try --repair")
+    field = cell_field(shape.mesh, pattern)
+    if field.count < 2:
+        return Fragments((_fragment(shape.mesh, np.arange(len(shape.mesh.faces)), density),))
+    cells = surface_nets(field)
+    pieces = [
+        piece for cell in _cell_solids(cells, pattern.grid) for piece in _pieces(body ^ cell, body_id)
+    ]
+    pieces = _join_crumbs(pieces, CRUMB_VOXELS * pattern.grid.spacing**3, body_id)
+    return Fragments(tuple(_to_fragment(piece.solid, body_id, density) for piece in pieces))
+
+
+def _solid(points: np.ndarray, faces: np.ndarray, names: np.ndarray | None = None) -> tuple[Manifold, int]:
+    """A solid whose faces keep their names through booleans, and its id."""
+    from manifold3d import Manifold, Mesh64
+
+    own = Manifold.reserve_ids(1)
+    # A name of its own for each triangle keeps coplanar neighbours from being merged.
+    names = np.arange(len(faces)) if names is None else names
+    mesh = Mesh64(
+        vert_properties=np.array(points, np.float64, order="C"),
+        tri_verts=np.array(faces, np.uint64, order="C"),
+        run_index=np.array([0, 3 * len(faces)], np.uint64),
+        run_original_id=np.array([own], np.uint32),
+        face_id=np.array(names, np.uint64),
+    )
+    return Manifold(mesh), own
+
+
+def _cell_solids(cells: Cells, grid: Grid) -> Iterator[Manifold]:
+    world = grid.to_world(cells.points - MARGIN)
+    for n in range(len(cells.face_start) - 1):
+        own = slice(cells.face_start[n], cells.face_start[n + 1])
+        points = world[cells.vertices[cells.vertex_start[n] : cells.vertex_start[n + 1]]]
+        solid, _ = _solid(points, cells.faces[own], cells.names[own])
+        assert solid.status().name == "NoError", f"cell {n + 1}: {solid.status().name}"
+        yield solid
+
+
+def _sources(mesh: Mesh64, body_id: int) -> tuple[np.ndarray, np.ndarray]:
+    """Face names of a mesh and whether each face lies on the body's own surface."""
+    lengths = np.diff(np.asarray(mesh.run_index, np.int64)) // 3
+    own = np.repeat(np.asarray(mesh.run_original_id) == body_id, lengths)
+    return np.asarray(mesh.face_id, np.int64), own
+
+
+def _pieces(solid: Manifold, body_id: int) -> Iterator[_Piece]:
+    for part in solid.decompose():
+        names, own = _sources(part.to_mesh64(), body_id)
+        yield _Piece(part, part.volume(), np.unique(names[~own]))
+
+
+def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_Piece]:
+    """Unite pieces below the volume `smallest` with the piece on the other side of most of their faces.
+
+    A crumb that touches no other piece, or only along a line, stays as debris."""
+    kept = sorted(pieces, key=lambda piece: -piece.volume)
+    while kept and kept[-1].volume < smallest:
+        crumb = kept.pop()
+        shared = [len(np.intersect1d(crumb.names, piece.names, assume_unique=True)) for piece in kept]
+        joined = []
+        if max(shared, default=0) > 0:
+            best = int(np.argmax(shared))
+            joined = list(_pieces(kept[best].solid + crumb.solid, body_id))
+        if len(joined) == 1:
+            kept[best] = joined[0]
+        else:
+            kept.insert(0, crumb)
+            smallest = min(smallest, kept[-1].volume)
+    return kept
+
+
+def _to_fragment(solid: Manifold, body_id: int, density: float) -> Fragment:
+    out = solid.to_mesh64()
+    names, own = _sources(out, body_id)
+    mesh = Mesh(out.vert_properties[:, :3], np.asarray(out.tri_verts, np.int64))
+    return _fragment(mesh, np.where(own, names, -1), density)
+
+
+def _fragment(mesh: Mesh, source: np.ndarray, density: float) -> Fragment:
+    mass = mass_properties(mesh, density)
+    return Fragment(mesh, source, mass.mass, mass.centre, mass.inertia)

@@ -1,0 +1,36 @@
+"""`simulate` and `train`: from a shape to a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deepfracture.progress import log
+
+
+def simulate(
+    name: str, *, out: Path, collisions: int, material: str, resolution: int, speed: tuple[float, float],
+    workers: int, seed: int, repair: bool,
+) -> None:  # fmt: skip
+    """Fill the data set `out` with simulated collisions of the shape `name`; goes on where it stopped."""
+    from deepfracture.dataset import simulate_collisions
+    from deepfracture.fracture import material as preset
+    from deepfracture.geometry import load_shape
+
+    shape = load_shape(name, repair=repair)
+    dataset = simulate_collisions(
+        shape, preset(material), out, collisions=collisions, workers=workers, resolution=resolution, seed=seed,
+        speed_range=speed,
+    )  # fmt: skip
+    log.info(
+        "%s: %d patterns from %d collisions (%d broke nothing), largest impulse %.0f N s",
+        out, len(dataset), dataset.tried, dataset.unbroken, dataset.max_impulse,
+    )  # fmt: skip
+
+
+def train(path: Path, *, out: Path, epochs: int | None, minutes: float | None, device: str, seed: int) -> None:
+    """Train on the data set `path` into the run folder `out`; goes on where it stopped."""
+    from deepfracture.dataset import open_dataset
+    from deepfracture.learn import train as run
+
+    finished = run(open_dataset(path), out, epochs=epochs, minutes=minutes, device=device, seed=seed)
+    log.info("%s", finished)

@@ -1,0 +1,165 @@
+"""`deepfracture COMMAND ...`: exit status 0 when the work was done, 2 for a bad file or value in one line."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import Positional
+
+from deepfracture.types import BadInput
+
+ShapeName = Annotated[Positional[str], tyro.conf.arg(metavar="SHAPE", help="A mesh file, or a built-in shape.")]
+app = tyro.extras.SubcommandApp()
+
+
+@dataclass(frozen=True)
+class Throw:
+    """How the ball is thrown."""
+
+    speed: float = 9.0
+    """Speed of the ball [m/s] (the shape is 2 m long)."""
+    radius: float = 0.2
+    """Radius of the steel ball [m]."""
+    heading: float | None = None
+    """Direction that the ball comes from, degrees around the vertical; drawn from the seed if not given."""
+    up: str = "z"
+    """Axis of the file that points up: x, y or z."""
+
+
+@app.command
+def shatter(
+    shape: ShapeName = "pot",
+    /,
+    breaker: str = "learned",
+    out: Path = Path("shattered"),
+    material: str = "earthenware",
+    throw: tyro.conf.OmitArgPrefixes[Throw] = Throw(),
+    scene: Path | None = None,
+    model: Path | None = None,
+    dataset: Path | None = None,
+    resolution: int = 64,
+    engine: str = "rapier",
+    seed: int = 0,
+    repair: bool = False,
+    film: bool = True,
+) -> None:
+    """Throw a ball at a shape and break it: animation, fragments and a report.
+
+    Args:
+        shape: a mesh file, or a built-in shape.
+        breaker: learned, physical, voronoi or nearest.
+        out: folder for the page, the .glb, the fragments, the film and report.json.
+        material: a whole-material preset.
+        throw: how the ball is thrown.
+        scene: replay this scene file instead of throwing a ball.
+        model: trained weights instead of the shipped ones.
+        dataset: simulated patterns that --breaker nearest recalls.
+        resolution: voxels along each axis for physical and voronoi.
+        engine: rapier or bullet.
+        seed: the same seed gives the same bytes.
+        repair: mend a mesh that is not closed.
+        film: also render an .mp4 where the machine can.
+    """
+    from .shatter import shatter as run
+
+    run(
+        shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, model=model, dataset=dataset,
+        resolution=resolution, engine=engine, seed=seed, repair=repair, film=film,
+    )  # fmt: skip
+
+
+@app.command
+def simulate(
+    shape: ShapeName,
+    /,
+    out: Path,
+    collisions: int = 60,
+    material: str = "earthenware",
+    resolution: int = 64,
+    speed: tuple[float, float] = (1.0, 16.0),
+    workers: int = 2,
+    seed: int = 0,
+    repair: bool = False,
+) -> None:
+    """Simulate collisions from all sides: the data that a model learns from. Run again to go on.
+
+    Args:
+        shape: a mesh file, or a built-in shape.
+        out: folder of the data set.
+        collisions: balls to throw; those that break nothing are counted and left out.
+        material: a whole-material preset.
+        resolution: voxels along each axis.
+        speed: slowest and fastest ball [m/s].
+        workers: processes.
+        seed: the same seed gives the same bytes, however many workers.
+        repair: mend a mesh that is not closed.
+    """
+    from .learning import simulate as run
+
+    run(
+        shape, out=out, collisions=collisions, material=material, resolution=resolution, speed=speed,
+        workers=workers, seed=seed, repair=repair,
+    )  # fmt: skip
+
+
+@app.command
+def train(
+    dataset: Annotated[Positional[Path], tyro.conf.arg(metavar="DATASET")],
+    /,
+    out: Path,
+    epochs: int | None = None,
+    minutes: float | None = None,
+    device: str = "auto",
+    seed: int = 0,
+) -> None:
+    """Train the generative model on simulated collisions. Run again to go on.
+
+    Args:
+        dataset: folder made by `deepfracture simulate`.
+        out: run folder; the finished weights are model.safetensors in it.
+        epochs: passes over the data (default: the preset's).
+        minutes: stop after this long at the latest.
+        device: auto, cpu, cuda or mps.
+        seed: of the initial weights and the order of samples.
+    """
+    from .learning import train as run
+
+    run(dataset, out=out, epochs=epochs, minutes=minutes, device=device, seed=seed)
+
+
+@app.command
+def info(path: Annotated[Positional[str], tyro.conf.arg(metavar="FILE")], /) -> None:
+    """Look at any file that the program reads or writes: mesh, scene, data set, model, report.
+
+    Args:
+        path: the file or folder, or the name of a built-in shape.
+    """
+    from .info import info as run
+
+    run(path)
+
+
+@app.command
+def warm() -> None:
+    """Compile and cache the kernels, so that later commands start at once."""
+    from .warm import warm as run
+
+    run()
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    try:
+        app.cli(prog="deepfracture", description="Breaks things beautifully.", args=args)
+    except BadInput as problem:
+        sys.stderr.write(f"deepfracture: {problem}\n")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.stderr.write("deepfracture: interrupted; run the same command again to go on\n")
+        sys.exit(130)

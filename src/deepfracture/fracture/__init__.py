@@ -1,0 +1,17 @@
+"""Brittle fracture: elastostatics by boundary elements, contact, and cracks that grow."""
+
+from .body import FractureBody, prepare_body
+from .contact import breaks, critical_stress
+from .materials import MATERIALS, material
+from .simulate import Cracking, simulate
+
+__all__ = [
+    "MATERIALS",
+    "Cracking",
+    "FractureBody",
+    "breaks",
+    "critical_stress",
+    "material",
+    "prepare_body",
+    "simulate",
+]

@@ -1,0 +1,39 @@
+"""Shapes: made, read, repaired, normalised, measured."""
+
+from deepfracture.geometry.builtin import BUILTIN, builtin
+from deepfracture.geometry.distance import (
+    Closest,
+    closest,
+    distance_lattice,
+    signed_distance,
+    signed_distance_lattice,
+    signed_distance_points,
+    winding_lattice,
+)
+from deepfracture.geometry.mass import MassProperties, mass_properties
+from deepfracture.geometry.normalise import normalise
+from deepfracture.geometry.read import check_solid, load_shape, read_mesh, read_triangles
+from deepfracture.geometry.remesh import remesh
+from deepfracture.geometry.topology import Faults, faults
+
+__all__ = [
+    "BUILTIN",
+    "Closest",
+    "Faults",
+    "MassProperties",
+    "builtin",
+    "check_solid",
+    "closest",
+    "distance_lattice",
+    "faults",
+    "load_shape",
+    "mass_properties",
+    "normalise",
+    "read_mesh",
+    "read_triangles",
+    "remesh",
+    "signed_distance",
+    "signed_distance_lattice",
+    "signed_distance_points",
+    "winding_lattice",
+]

@@ -1,0 +1,142 @@
+"""One closed solid from a mesh that is not one, its outside kept where it was.
+
+First what keeps the input's own triangles: turn faces the right way, cap holes, unite shells.
+Where that is not enough (crowded edges, surfaces that cross themselves, gaps between parts),
+the mesh is wrapped: everything that cannot be reached from outside becomes solid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepfracture.geometry.solids import united
+from deepfracture.geometry.topology import (
+    boundary_loops,
+    compact,
+    faults,
+    neighbours,
+    shell_volumes,
+    shells,
+    split_pinches,
+)
+from deepfracture.geometry.wrap import wrap
+from deepfracture.geometry.distance import closest, winding_lattice
+from deepfracture.progress import log
+from deepfracture.types import BadInput, Ints, Mesh
+
+CRUMB = 0.02
+"""Separate bodies below this share of the whole volume are dropped."""
+
+
+def repair(mesh: Mesh, name: str) -> Mesh:
+    """A closed, outward-oriented 2-manifold of one body near `mesh`; logs what was done.
+
+    Caps and unions keep the input's triangles; a wrap stays within a hundredth of the longest
+    side of the outside, save where it bridges gaps. Raises BadInput when no solid comes out."""
+    before = faults(mesh)
+    sealed, holes = cap_holes(oriented(split_pinches(mesh)))
+    steps = [f"{holes} holes capped"] if holes else []
+    solid = _united_shells(sealed)
+    if solid is None:
+        solid, gap = wrap(sealed, name)
+        steps.append(f"wrapped, bridging gaps of up to {gap:.3g}")
+    elif faults(sealed).shells > 1:
+        steps.append(f"{faults(sealed).shells} shells united")
+    solid, dropped = _largest_body(solid, name)
+    if dropped:
+        steps.append(f"{dropped} small loose parts dropped")
+    off = closest(mesh, solid.vertices).distance
+    log.warning(
+        "%s: repaired (%s): %s; result lies %.2g from the input at most, caps included, %.2g on average",
+        name,
+        before if str(before) else f"{before.shells} shells",
+        ", ".join(steps) or "faces turned outward",
+        off.max(),
+        off.mean(),
+    )
+    return split_pinches(solid)
+
+
+def oriented(mesh: Mesh) -> Mesh:
+    """The mesh with neighbouring faces agreeing on their side, as far as the surface has two."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order
+
+    one, other, agree = neighbours(mesh.faces)
+    count = len(mesh.faces)
+    graph = coo_array((np.where(agree, 1, 2), (one, other)), shape=(count, count)).tocsr()
+    graph = (graph + graph.T).tocsr()
+    flip, seen = np.zeros(count, bool), np.zeros(count, bool)
+    against = set(zip(one[~agree].tolist(), other[~agree].tolist(), strict=True))
+    for first in range(count):
+        if seen[first]:
+            continue
+        order, before = breadth_first_order(graph, first, directed=False)
+        seen[order] = True
+        for face in order[1:].tolist():
+            parent = int(before[face])
+            turned = (parent, face) in against or (face, parent) in against
+            flip[face] = flip[parent] ^ turned
+    return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces))
+
+
+def cap_holes(mesh: Mesh) -> tuple[Mesh, int]:
+    """The mesh with a fan over every hole, each shell then facing outward; and how many holes."""
+    vertices, faces = [mesh.vertices], [mesh.faces]
+    count = len(mesh.vertices)
+    loops = boundary_loops(mesh.faces)
+    for loop in loops:
+        after = np.roll(loop, -1)
+        if len(loop) == 3:
+            faces.append(loop[None, :])
+            continue
+        vertices.append(mesh.vertices[loop].mean(axis=0)[None])
+        faces.append(np.column_stack([loop, after, np.full(len(loop), count)]))
+        count += 1
+    capped = Mesh(np.concatenate(vertices), np.concatenate(faces))
+    piece = shells(capped.faces)
+    inward = shell_volumes(capped, piece)[piece] < 0
+    return Mesh(capped.vertices, np.where(inward[:, None], capped.faces[:, ::-1], capped.faces)), len(loops)
+
+
+def _united_shells(mesh: Mesh) -> Mesh | None:
+    """The union of all shells, or None where a shell is not a plain solid or the union falls apart."""
+    if not faults(mesh).closed:
+        return None
+    parts = _parts(mesh, shells(mesh.faces))
+    if any(_crosses_itself(part) for part in parts):
+        return None
+    if len(parts) == 1:
+        return mesh
+    try:
+        solid = united(parts)
+    except ValueError:
+        return None
+    volumes = shell_volumes(solid, shells(solid.faces))
+    whole = volumes.max() > (1 - CRUMB) * np.abs(volumes).sum()
+    return solid if whole and faults(solid).closed else None
+
+
+def _parts(mesh: Mesh, piece: Ints) -> list[Mesh]:
+    return [compact(mesh.vertices, mesh.faces[piece == n]) for n in range(int(piece.max()) + 1)]
+
+
+def _crosses_itself(mesh: Mesh) -> bool:
+    """Whether the surface winds round some point of a lattice other than once or not at all."""
+    low, high = mesh.bounds
+    step = np.maximum((high - low) / 48, 1e-12)
+    turns = winding_lattice(mesh, low + step / 2, step, (48, 48, 48))
+    return bool(((turns < 0) | (turns > 1)).any())
+
+
+def _largest_body(mesh: Mesh, name: str) -> tuple[Mesh, int]:
+    """The one body, without crumbs and inner voids; and how many bodies were dropped."""
+    piece = shells(mesh.faces)
+    volumes = shell_volumes(mesh, piece)
+    if not volumes.max() > 0:
+        raise BadInput(f"{name}: encloses no volume and cannot be repaired; a solid is needed")
+    bodies = volumes > 0
+    large = int((volumes > CRUMB * volumes[bodies].sum()).sum())
+    if large > 1:
+        raise BadInput(f"{name}: {large} separate bodies, one is needed; split the file")
+    keep = piece == int(volumes.argmax())
+    return compact(mesh.vertices, mesh.faces[keep]), int(bodies.sum()) - 1

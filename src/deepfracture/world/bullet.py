@@ -1,0 +1,180 @@
+"""Bullet (pybullet) behind the engine seam: the engine of the paper.
+
+Bodies are handed to it in principal axes about their centre of mass, as Bullet wants them. They are
+plain rigid bodies (maximal coordinates) with split impulses: then a deep contact is resolved without
+adding momentum, and an impulse is m dv to 1e-4; the default multi-bodies overshoot by 5 %.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepfracture.types import BadInput, Floats
+from deepfracture.world.engine import (
+    FLOOR_DEPTH,
+    FLOOR_REACH,
+    ROLLING,
+    TURNING,
+    Contact,
+    Mass,
+    Motion,
+    Surface,
+    quaternion,
+    rotation,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Bullet's frame of a body: origin at the centre of mass, axes of inertia."""
+
+    centre: Floats
+    axes: Floats
+    """mesh_from_principal, shape (3, 3)."""
+
+
+class Bullet:
+    def __init__(self, gravity: float, surface: Surface) -> None:
+        try:
+            import pybullet
+        except ImportError as error:
+            raise BadInput(
+                "engine 'bullet' needs pybullet (Linux, Python <= 3.11: pip install pybullet); "
+                "use engine 'rapier' instead"
+            ) from error
+        self._api: Any = pybullet
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self._world = {"physicsClientId": self._client}
+        pybullet.setGravity(0, 0, -gravity, **self._world)
+        pybullet.setPhysicsEngineParameter(
+            useSplitImpulse=1,
+            splitImpulsePenetrationThreshold=0.0,
+            restitutionVelocityThreshold=0.1,
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,
+            **self._world,
+        )
+        self._dt = 0.0
+        self._friction = float(np.sqrt(surface.friction))
+        self._restitution = float(np.sqrt(surface.restitution))
+        self._frames: dict[int, _Frame] = {}
+
+    def add_body(self, hulls: Sequence[Floats], mass: Mass, motion: Motion) -> int:
+        moments, axes = mass.principal()
+        shape = self._shape([(hull - mass.centre) @ axes for hull in hulls])
+        return self._add(shape, mass.mass, moments, _Frame(mass.centre, axes), motion, TURNING)
+
+    def add_ball(self, radius: float, mass: float, motion: Motion) -> int:
+        shape = self._api.createCollisionShape(self._api.GEOM_SPHERE, radius=radius, **self._world)
+        moments = np.full(3, 0.4 * mass * radius**2)
+        return self._add(shape, mass, moments, _Frame(np.zeros(3), np.eye(3)), motion, ROLLING)
+
+    def add_floor(self, height: float, friction: float) -> int:
+        half = [FLOOR_REACH, FLOOR_REACH, FLOOR_DEPTH]
+        shape = self._api.createCollisionShape(self._api.GEOM_BOX, halfExtents=half, **self._world)
+        place = [0, 0, height - FLOOR_DEPTH]
+        floor = self._api.createMultiBody(
+            0, shape, basePosition=place, useMaximalCoordinates=1, **self._world
+        )
+        self._looks(floor, friction / self._friction)
+        self._frames[floor] = _Frame(np.zeros(3), np.eye(3))
+        return floor
+
+    def remove(self, body: int) -> None:
+        del self._frames[body]
+        self._api.removeBody(body, **self._world)
+
+    def move(self, body: int, motion: Motion) -> None:
+        place, turn = _to_bullet(motion, self._frames[body])
+        self._api.resetBasePositionAndOrientation(body, place, turn, **self._world)
+        self._api.resetBaseVelocity(body, list(motion.velocity), list(motion.spin), **self._world)
+
+    def step(self, dt: float) -> None:
+        if dt != self._dt:
+            self._api.setPhysicsEngineParameter(fixedTimeStep=dt, **self._world)
+            self._dt = dt
+        self._api.stepSimulation(**self._world)
+
+    def motion(self, body: int) -> Motion:
+        frame = self._frames[body]
+        place, (x, y, z, w) = self._api.getBasePositionAndOrientation(body, **self._world)
+        velocity, spin = self._api.getBaseVelocity(body, **self._world)
+        turn = rotation(np.array([w, x, y, z])) @ frame.axes.T
+        origin = np.array(place) - turn @ frame.centre
+        return Motion(origin, quaternion(turn), np.array(velocity), np.array(spin))
+
+    def contacts(self, body: int) -> list[Contact]:
+        found: list[Contact] = []
+        for point in self._api.getContactPoints(bodyA=body, **self._world):
+            first, second = point[1], point[2]
+            impulse = point[9] * self._dt  # Bullet reports a force
+            if impulse > 0:
+                push = 1.0 if first == body else -1.0  # the normal points from the second to the first
+                place = point[5] if first == body else point[6]
+                other = second if first == body else first
+                found.append(Contact(other, np.array(place), push * np.array(point[7]), impulse))
+        return sorted(found, key=lambda c: (c.other, -c.impulse, *c.position))
+
+    def close(self) -> None:
+        self._api.disconnect(**self._world)
+
+    def _add(
+        self, shape: int, mass: float, moments: Floats, frame: _Frame, motion: Motion, damping: float
+    ) -> int:
+        body = self._api.createMultiBody(mass, shape, useMaximalCoordinates=1, **self._world)
+        self._looks(body, self._friction)
+        # Mass and inertia in one call: Bullet's bodies turn NaN when only the inertia is given.
+        self._api.changeDynamics(
+            body,
+            -1,
+            mass=mass,
+            localInertiaDiagonal=list(moments),
+            linearDamping=0.0,
+            angularDamping=1 - np.exp(-damping),  # Bullet: the share lost in a second
+            **self._world,
+        )
+        self._frames[body] = frame
+        self.move(body, motion)
+        return body
+
+    def _looks(self, body: int, friction: float) -> None:
+        self._api.changeDynamics(
+            body, -1, lateralFriction=friction, restitution=self._restitution, **self._world
+        )
+
+    def _shape(self, hulls: list[Floats]) -> int:
+        if len(hulls) == 1:
+            points = hulls[0].tolist()
+            return self._api.createCollisionShape(self._api.GEOM_MESH, vertices=points, **self._world)
+        # A file with one object a hull is pybullet's only way to a compound of hulls.
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "hulls.obj")
+            with open(path, "w", encoding="ascii") as file:
+                file.write(_obj(hulls))
+            return self._api.createCollisionShape(self._api.GEOM_MESH, fileName=path, **self._world)
+
+
+def _to_bullet(motion: Motion, frame: _Frame) -> tuple[list[float], list[float]]:
+    """Place of the centre of mass and orientation (x, y, z, w) of the principal axes."""
+    turn = rotation(motion.quat_wxyz)
+    w, x, y, z = quaternion(turn @ frame.axes)
+    return list(motion.position + turn @ frame.centre), [x, y, z, w]
+
+
+def _obj(hulls: list[Floats]) -> str:
+    from scipy.spatial import ConvexHull
+
+    lines: list[str] = []
+    start = 1
+    for i, points in enumerate(hulls):
+        lines.append(f"o hull{i}")
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in points]
+        lines += [f"f {a} {b} {c}" for a, b, c in ConvexHull(points, qhull_options="QJ").simplices + start]
+        start += len(points)
+    return "\n".join(lines) + "\n"
