@@ -13,11 +13,8 @@ from deepfracture.types import BadInput, Impact, Mesh
 
 STONE = material("stone")
 CORNERS = np.array([(x, y, z) for x in (-1.0, 1) for y in (-1.0, 1) for z in (-0.02, 0.02)])
-PLATE = Mesh(
-    CORNERS,
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]]
-    + [[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]],
-)
+PLATE_FACES = """0 1 3  0 3 2  4 6 7  4 7 5  0 4 5  0 5 1  2 3 7  2 7 6  0 2 6  0 6 4  1 5 7  1 7 3"""
+PLATE = Mesh(CORNERS, np.array(PLATE_FACES.split(), int).reshape(-1, 3))
 
 
 def _impact(*magnitudes: float, direction: tuple[float, float, float] = (0, 0, -1)) -> Impact:

@@ -15,7 +15,7 @@ def test_names_lead_to_their_material() -> None:
 
 
 def test_unknown_name_lists_those_that_exist() -> None:
-    with pytest.raises(BadInput, match="cheese.*glass, ceramic") as error:
+    with pytest.raises(BadInput, match=r"cheese.*glass, ceramic") as error:
         material("cheese")
     assert "\n" not in str(error.value)
 

@@ -12,7 +12,7 @@ CAGE = 0.03
 BUCKETS = 1 << 16
 
 
-def segment(volume: Volume, *, tolerance: float = 0.0, ratio: float = 0.5, crest: float = 0.6, min_voxels: int = 8):
+def segment(volume: Volume, *, tolerance: float = 0.0, ratio: float = 0.5, crest: float = 1e9, min_voxels: int = 8):
     values = np.pad(volume.values, 1, constant_values=-np.inf)
     if np.isnan(volume.values).any():
         raise BadInput("x")

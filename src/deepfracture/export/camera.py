@@ -79,7 +79,7 @@ def _action(recording: Recording) -> Floats:
     later = np.concatenate([_corners(recording, "fragment", frame) for frame in _times(recording, hit, None)])
     away = np.linalg.norm(later - centre, axis=1)
     # a few pieces may leave the picture: following them would make the break itself small
-    reach = np.clip(np.quantile(away, 0.85), 1.2 * radius, 2.6 * radius)
+    reach = np.clip(np.quantile(away, 0.95), 1.2 * radius, 2.6 * radius)
     return np.concatenate([*whole[-1:], burst, later[away <= reach]])
 
 

@@ -15,7 +15,7 @@ from .motion import exists, floor_height, rotation_matrices
 from .surface import COLOURS, Surface, track_surfaces
 
 if TYPE_CHECKING:
-    from .raster import Lights, View
+    from .raster import Lights, Shadows, View
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.95])
 """Towards the key light: left, towards the viewer, up."""
@@ -52,9 +52,11 @@ class Studio:
         samples: int,
         floor: float | None,
         radius: float,
+        taps: int = 16,
     ) -> None:
         """size: width, height [pixel]; samples: per pixel and axis; floor: its height [m];
-        radius: of the region around the camera's target that casts shadows [m]."""
+        radius: of the region around the camera's target that casts shadows [m];
+        taps: on the key light's soft shadow, more for less grain."""
         from .raster import encoding, linear
 
         surfaces = [(b, s) for b, prop in enumerate(props) for s in prop.surfaces]
@@ -67,11 +69,12 @@ class Studio:
         self.faces = np.concatenate([s.faces + k for k, (_, s) in zip(first, surfaces, strict=True)]).astype(np.int32)
         faces = [len(s.faces) for _, s in surfaces]
         self.face_body = np.repeat([b for b, _ in surfaces], faces)
-        self.colour = np.repeat([linear(COLOURS[s.look]) for _, s in surfaces], faces, axis=0)
-        self.gloss = np.repeat([GLOSS[s.look] for _, s in surfaces], faces).astype(np.float32)
+        looks = [(*linear(COLOURS[s.look]), GLOSS[s.look]) for _, s in surfaces]
+        self.looks = np.repeat(np.array(looks, np.float32), counts, axis=0)
         self.patch = _patches(self.faces, len(self.vertices))
         self.encode = encoding()
         self.camera, self.size, self.samples, self.floor, self.radius = camera, size, samples, floor, radius
+        self.taps = taps
 
     def picture(self, rotations: Floats, offsets: Floats, shown: NDArray[np.bool_]) -> NDArray[np.uint8]:
         """RGB picture (h, w, 3) with prop b turned by rotations[b], moved by offsets[b], if shown[b]."""
@@ -82,12 +85,12 @@ class Studio:
         faces = self.faces[seen]
         (width, height), s = self.size, self.samples
         view = self._view(height * s)
-        lights, sky = self._lights(vertices, normals, faces, view)
-        bodies = raster.Bodies(faces, self.patch[seen], self.colour[seen], self.gloss[seen], normals, sky)
-        size = (width * s, height * s)
-        screen, depth, triangle = raster.see(vertices, faces, view.axes, view.position, view.focal, size)
+        lights, shadows, sky = self._lights(vertices, normals, faces)
+        bodies = raster.Bodies(faces, self.patch[seen], np.column_stack([normals, self.looks, sky]))
+        axes, eye = self.camera.axes.astype(np.float32), self.camera.position.astype(np.float32)
+        screen, depth, triangle = raster.see(vertices, faces, axes, eye, view.focal, (width * s, height * s))
         out = np.empty((height, width, 3), np.uint8)
-        raster.shade(s, depth, triangle, screen, bodies, view, lights, self.encode, out)
+        raster.shade(s, depth, triangle, screen, bodies, view, lights, shadows, self.encode, out)
         return out
 
     def _placed(self, rotations: Floats, offsets: Floats) -> tuple[Floats32, Floats32]:
@@ -100,26 +103,29 @@ class Studio:
         return vertices, normals
 
     def _view(self, height: int) -> View:
-        from .raster import FAR, View, linear
+        from .raster import FAR, View, linear, triple
 
         camera, one = self.camera, np.float32
+        right, up, back = camera.axes
         return View(
-            position=camera.position.astype(one),
-            axes=camera.axes.astype(one),
+            eye=triple(camera.position),
+            right=triple(right),
+            up=triple(up),
+            back=triple(back),
             focal=one(height / 2 / np.tan(np.radians(camera.field / 2))),
             floor=one(-FAR if self.floor is None else self.floor),
             fade=one(2.6 * self.radius),
-            floor_colour=linear(COLOURS["floor"]),
-            back_colour=linear(BACKDROP),
+            floor_colour=triple(linear(COLOURS["floor"])),
+            backdrop=triple(linear(BACKDROP)),
         )
 
     def _lights(
-        self, vertices: Floats32, normals: Floats32, faces: NDArray[np.int32], view: View
-    ) -> tuple[Lights, Floats32]:
-        """The lights, and the share of the sky that each vertex sees."""
-        from .raster import Lights, see_parallel, sky_seen, taps
+        self, vertices: Floats32, normals: Floats32, faces: NDArray[np.int32]
+    ) -> tuple[Lights, Shadows, Floats32]:
+        """The lights, what they see, and the share of the sky that each vertex sees."""
+        from .raster import Lights, Shadows, see_parallel, sky_seen, taps, triple
 
-        one, level = np.float32, _level(view.axes)
+        one, level = np.float32, level_axes(self.camera)
         key_axes, fill = _light_axes(KEY_LIGHT @ level).astype(one), FILL_LIGHT @ level
         centre, radius = self.camera.target.astype(one), one(self.radius)
         key, sky = (
@@ -127,28 +133,30 @@ class Studio:
             for axes, texels in ((key_axes, SHADOW_TEXELS), (np.eye(3, dtype=one), SKY_TEXELS))
         )
         axis = np.linspace(-radius, radius, FLOOR_POINTS, dtype=one)
-        floor = np.stack(np.meshgrid(axis, axis, [view.floor - centre[2]]), axis=-1).reshape(-1, 3) + centre
+        floor = np.stack(np.meshgrid(axis, axis, [0.0]), axis=-1).reshape(-1, 3).astype(one) + centre
+        floor[:, 2] = centre[2] if self.floor is None else self.floor
         points = np.concatenate([vertices, floor])
         upward = np.concatenate([normals, np.tile(one([0, 0, 1]), (len(floor), 1))])
         reaches = (SKY_REACHES * radius).astype(one)
         seen = sky_seen(points, upward, sky, centre, radius, reaches, taps(SKY_TAPS))
+        right, up, toward = key_axes
         lights = Lights(
-            centre=centre,
+            centre=triple(centre),
             radius=radius,
-            key_axes=key_axes,
-            key_depth=key,
-            floor_sky=seen[len(vertices) :].reshape(FLOOR_POINTS, FLOOR_POINTS),
-            fill=(fill / np.linalg.norm(fill)).astype(one),
+            right=triple(right),
+            up=triple(up),
+            toward=triple(toward),
+            fill=triple(fill / np.linalg.norm(fill)),
             soft=one(SHADOW_SOFTNESS * radius),
-            taps=taps(),
         )
-        return lights, seen[: len(vertices)]
+        floor_sky = seen[len(vertices) :].reshape(FLOOR_POINTS, FLOOR_POINTS)
+        return lights, Shadows(key, floor_sky, taps(self.taps)), seen[: len(vertices)]
 
 
 class RecordingStudio:
     """A recording in the studio: pictures by frame number."""
 
-    def __init__(self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int) -> None:
+    def __init__(self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int, taps: int = 16) -> None:
         self.tracks = [t for t in recording.tracks if t.kind != "floor" and len(t.positions)]
         reach = float(np.linalg.norm(camera.position - camera.target) * np.tan(np.radians(camera.field / 2)))
         self.studio = Studio(
@@ -158,6 +166,7 @@ class RecordingStudio:
             samples=samples,
             floor=floor_height(recording),
             radius=1.6 * reach * max(1.0, size[0] / size[1] / 1.3),
+            taps=taps,
         )
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
@@ -171,9 +180,9 @@ class RecordingStudio:
         return self.studio.picture(rotations, offsets, shown)
 
 
-def _level(axes: Floats) -> Floats:
-    """Rows right, towards the viewer, up for lights that follow the camera but not its tilt."""
-    right, up = axes[0], np.array([0.0, 0.0, 1.0])
+def level_axes(camera: Camera) -> Floats:
+    """Rows right, towards the viewer, up (3, 3): lights follow the camera, but not its tilt."""
+    right, up = camera.axes[0], np.array([0.0, 0.0, 1.0])
     return np.stack([right, np.cross(right, up), up])
 
 

@@ -19,10 +19,16 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import ArrayLike
 
-from deepfracture.fracture.integrals import FASTMATH, Panels, panels, triangle_integrals
+from deepfracture.fracture.integrals import (
+    Panels,
+    kernel,
+    panels,
+    parallel_kernel,
+    triangle_integrals,
+)
 from deepfracture.geometry import mass_properties
 from deepfracture.types import BadInput, Floats, Ints, Labels, Mesh
 
@@ -257,14 +263,14 @@ def _colours(faces: Ints, vertices: int) -> tuple[Ints, Ints]:
 # is (f_a + f_b + f_c) / 6 + f_a / 2 at point a, and so is the weight of point a in corner a's test.
 
 
-@njit(cache=True, fastmath=FASTMATH, parallel=True)
+@parallel_kernel
 def _assemble(order, starts, faces, panels, poisson, double, single):
     for colour in range(len(starts) - 1):
         for position in prange(starts[colour], starts[colour + 1]):
             _add_rows(order[position], faces, panels, poisson, double, single)
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _add_rows(outer, faces, panels, poisson, double, single):
     """Add what triangle `outer` contributes as the place of test: three points, all inner triangles."""
     corners = panels.corners[outer]
@@ -277,6 +283,7 @@ def _add_rows(outer, faces, panels, poisson, double, single):
     kernel_t = np.empty((3, 3, 3, 3))  # outer point, inner corner, row, column
     kernel_u = np.empty((3, 3, 3))  # outer point, row, column
     closure = np.zeros((3, 3, 3))  # ∫ T over the whole surface, seen from each outer point
+    r, lengths = np.empty((3, 3)), np.empty(3)
     flux, spread, normal = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     edge, constant = np.empty((3, 3, 3)), np.empty((3, 3))
     for inner in range(len(faces)):
@@ -290,13 +297,18 @@ def _add_rows(outer, faces, panels, poisson, double, single):
             for q in range(3):
                 _near_kernels(
                     points[q], panels, inner, inner == outer, poisson, kernel_u[q], kernel_t[q],
-                    flux, spread, normal, edge, constant,
+                    r, lengths, flux, spread, normal, edge, constant,
                 )  # fmt: skip
-        _scatter(outer, inner, faces, weight, kernel_u, kernel_t, closure, double, single)
+        for q in range(3):
+            for k in range(3):
+                for i in range(3):
+                    closure[q, k, i] += kernel_t[q, 0, k, i] + kernel_t[q, 1, k, i] + kernel_t[q, 2, k, i]
+        _weigh(weight, kernel_u, kernel_t)
+        _scatter(outer, inner, faces, kernel_u, kernel_t, double, single)
     _subtract_rigid(outer, faces, weight, closure, double)
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _far_kernels(points, panels, inner, poisson, kernel_u, kernel_t):
     """Kelvin's U and T from the outer points to triangle `inner`, by its own three points."""
     scale_u = (1 + poisson) / (8 * np.pi * (1 - poisson))  # 1 / (16 π μ (1 - ν)) with E = 1
@@ -344,7 +356,7 @@ def _far_kernels(points, panels, inner, poisson, kernel_u, kernel_t):
                     t[p, k, i] = third + t[p, k, i] / 2
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _fill_symmetric(matrix, m00, m01, m02, m11, m12, m22):
     matrix[0, 0], matrix[1, 1], matrix[2, 2] = m00, m11, m22
     matrix[0, 1] = matrix[1, 0] = m01
@@ -352,9 +364,9 @@ def _fill_symmetric(matrix, m00, m01, m02, m11, m12, m22):
     matrix[1, 2] = matrix[2, 1] = m12
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _near_kernels(
-    point, panels, inner, own, poisson, kernel_u, kernel_t, flux, spread, normal, edge, constant
+    point, panels, inner, own, poisson, kernel_u, kernel_t, r, lengths, flux, spread, normal, edge, constant
 ):
     """∫ U and ∫ T φ_b over triangle `inner` in closed form, φ_b linear with φ_b = 1 at corner b."""
     scale_u = (1 + poisson) / (8 * np.pi * (1 - poisson))
@@ -362,7 +374,7 @@ def _near_kernels(
     diagonal, shear = 3 - 4 * poisson, 1 - 2 * poisson
     n = panels.normals[inner]
     potential, omega, height = triangle_integrals(
-        point[0], point[1], point[2], panels, inner, own, flux, spread, normal, edge
+        point[0], point[1], point[2], panels, inner, own, r, lengths, flux, spread, normal, edge
     )
     for k in range(3):
         for i in range(3):
@@ -391,24 +403,39 @@ def _near_kernels(
                 kernel_t[corner, k, i] = scale_t * (foot * constant[k, i] + sloped)
 
 
-@njit(cache=True, fastmath=FASTMATH)
-def _scatter(outer, inner, faces, weight, kernel_u, kernel_t, closure, double, single):
-    """Weigh the three outer points by the test functions and add to the two matrices."""
+@kernel
+def _weigh(weight, kernel_u, kernel_t):
+    """Turn the values at the three outer points into integrals against the three test functions."""
     for k in range(3):
         for i in range(3):
-            mean = (kernel_u[0, k, i] + kernel_u[1, k, i] + kernel_u[2, k, i]) / 6
-            for a in range(3):
-                single[3 * faces[outer, a] + k, 3 * inner + i] += weight * (mean + kernel_u[a, k, i] / 2)
+            u0, u1, u2 = weight * kernel_u[0, k, i], weight * kernel_u[1, k, i], weight * kernel_u[2, k, i]
+            mean = (u0 + u1 + u2) / 6
+            kernel_u[0, k, i], kernel_u[1, k, i], kernel_u[2, k, i] = mean + u0 / 2, mean + u1 / 2, mean + u2 / 2
+    for b in range(3):
+        for k in range(3):
+            for i in range(3):
+                t0, t1, t2 = kernel_t[0, b, k, i], kernel_t[1, b, k, i], kernel_t[2, b, k, i]
+                mean = weight * (t0 + t1 + t2) / 6
+                kernel_t[0, b, k, i] = mean + weight * t0 / 2
+                kernel_t[1, b, k, i] = mean + weight * t1 / 2
+                kernel_t[2, b, k, i] = mean + weight * t2 / 2
+
+
+@kernel
+def _scatter(outer, inner, faces, kernel_u, kernel_t, double, single):
+    """Add the integrals of a pair of triangles to the two matrices."""
+    for a in range(3):
+        for k in range(3):
+            row = 3 * faces[outer, a] + k
+            for i in range(3):
+                single[row, 3 * inner + i] += kernel_u[a, k, i]
             for b in range(3):
-                column = 3 * faces[inner, b] + i
-                mean = (kernel_t[0, b, k, i] + kernel_t[1, b, k, i] + kernel_t[2, b, k, i]) / 6
-                for a in range(3):
-                    value = kernel_t[a, b, k, i]
-                    closure[a, k, i] += value
-                    double[3 * faces[outer, a] + k, column] += weight * (mean + value / 2)
+                column = 3 * faces[inner, b]
+                for i in range(3):
+                    double[row, column + i] += kernel_t[a, b, k, i]
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _subtract_rigid(outer, faces, weight, closure, double):
     """The free term: -u(x) ∫ T at every outer point, so that a translation has no traction at all."""
     for q in range(3):

@@ -27,6 +27,10 @@ from deepfracture.types import BadInput, Floats, Mesh
 
 # Contractions and reciprocals may be fused; NaN, infinity and the order of sums keep their meaning.
 FASTMATH = {"contract", "arcp", "nsz", "afn"}
+# Divisions go unchecked (error_model): the kernels test what they divide by.
+kernel = njit(cache=True, fastmath=FASTMATH, error_model="numpy", forceinline=True)
+parallel_kernel = njit(cache=True, fastmath=FASTMATH, error_model="numpy", parallel=True)
+
 ON_LINE = 1e-20
 """Squared distance to an edge's line, in squared edge lengths, below which x counts as on that line."""
 IN_PLANE = 1e-14
@@ -86,7 +90,7 @@ def panels(mesh: Mesh) -> Panels:
     )
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _solid_angle(r, lengths):
     """Signed solid angle of the triangle with corners r (3, 3) seen from the origin: positive when the
     normal points away from it (van Oosterom & Strackee 1983, eq. 8)."""
@@ -104,7 +108,7 @@ def _solid_angle(r, lengths):
     return 2.0 * np.arctan2(triple, product + dot01 * lengths[2] + dot12 * lengths[0] + dot20 * lengths[1])
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _edge_logarithm(start, stop, length_start, length_stop, distance2):
     """∫ ds / r along an edge from `start` to `stop` (signed, from the foot of x), `distance2` the squared
     distance of x to its line (Wilton et al. 1984, eq. 5). On the edge itself the logarithm is cut off."""
@@ -122,72 +126,102 @@ def _edge_logarithm(start, stop, length_start, length_stop, distance2):
     return np.log((length_stop + stop) * (length_start - start) / floor)
 
 
-@njit(cache=True, fastmath=FASTMATH)
-def triangle_integrals(x, y, z, panels, index, on_panel, flux, spread, normal, edge):
+@kernel
+def _row(matrix, index):
+    """A vector as a tuple: unlike a view it stays in registers."""
+    return matrix[index, 0], matrix[index, 1], matrix[index, 2]
+
+
+@kernel
+def _corner_offsets(x, y, z, corners, index, r, lengths):
+    for corner in range(3):
+        r[corner, 0] = corners[index, corner, 0] - x
+        r[corner, 1] = corners[index, corner, 1] - y
+        r[corner, 2] = corners[index, corner, 2] - z
+        lengths[corner] = np.sqrt(r[corner, 0] ** 2 + r[corner, 1] ** 2 + r[corner, 2] ** 2)
+
+
+@kernel
+def _edge_moments(start, stop, length_start, length_stop, offset, height):
+    """Along an edge, with l the signed distance from the foot of x: ∫ 1/r, ∫ l/r, ∫ l^2/r^3, ∫ l/r^3, ∫ 1/r^3.
+
+    `offset` is the in-plane distance of x to the edge's line, `height` that to the plane."""
+    distance2 = offset * offset + height * height
+    log = _edge_logarithm(start, stop, length_start, length_stop, distance2)
+    inverse_start = 1.0 / length_start if length_start > 0.0 else 0.0
+    inverse_stop = 1.0 / length_stop if length_stop > 0.0 else 0.0
+    turn = stop * inverse_stop - start * inverse_start
+    across = 0.0
+    if distance2 >= ON_LINE * (stop - start) ** 2:
+        across = turn / distance2
+    return log, length_stop - length_start, log - turn, inverse_start - inverse_stop, across
+
+
+@kernel
+def _add_edge(e, log, rise, along2, along, across, offset, height, s, v, n, flux, spread, normal, edge):
+    """Add one edge's part to the integrals, upper triangles only."""
+    for i in range(3):
+        flux[i] -= v[i] * log
+        foot_i = offset * v[i] + height * n[i]
+        along_i = along2 * s[i] + along * foot_i
+        across_i = along * s[i] + across * foot_i
+        level_i = offset * log * v[i] + rise * s[i]
+        for j in range(i, 3):
+            edge[e, i, j] = along_i * s[j] + across_i * (offset * v[j] + height * n[j])
+            spread[i, j] -= v[j] * level_i
+            # Σ v_j ∫ r_i / r^3 ds, made symmetric in i, j by the normal part.
+            normal[i, j] -= v[j] * across_i + height * across * v[i] * n[j]
+
+
+@kernel
+def triangle_integrals(x, y, z, panels, index, on_panel, r, lengths, flux, spread, normal, edge):
     """All integrals over panel `index` seen from (x, y, z); see the head of this file.
 
-    Fills flux (3,), spread (3, 3), normal (3, 3), edge (3, 3, 3) and returns (potential, solid angle,
-    height). With `on_panel` the point lies on the panel: height, solid angle and `normal` are zero, the
-    principal value.
+    Fills flux (3,), spread (3, 3), normal (3, 3), edge (3, 3, 3), with r (3, 3) and lengths (3,) as
+    workspace, and returns (potential, solid angle, height). With `on_panel` the point lies on the panel:
+    height, solid angle and `normal` are zero, the principal value.
     """
-    n, tangents, outward = panels.normals[index], panels.tangents[index], panels.outward[index]
-    r = np.empty((3, 3))
-    lengths = np.empty(3)
-    for corner in range(3):
-        r[corner, 0] = panels.corners[index, corner, 0] - x
-        r[corner, 1] = panels.corners[index, corner, 1] - y
-        r[corner, 2] = panels.corners[index, corner, 2] - z
-        lengths[corner] = np.sqrt(r[corner, 0] ** 2 + r[corner, 1] ** 2 + r[corner, 2] ** 2)
+    _corner_offsets(x, y, z, panels.corners, index, r, lengths)
+    n = _row(panels.normals, index)
     height = 0.0
     omega = 0.0
     if not on_panel:
         height = n[0] * r[0, 0] + n[1] * r[0, 1] + n[2] * r[0, 2]
         omega = _solid_angle(r, lengths)
-    for i in range(3):
-        flux[i] = 0.0
-        for j in range(3):
-            spread[i, j] = 0.0
-            normal[i, j] = 0.0
+    flux[:] = 0.0
+    spread[:] = 0.0
+    normal[:] = 0.0
     potential = -height * omega
     across_sum = 0.0
     for e in range(3):
         f = (e + 1) % 3
-        s, v, q, w = tangents[e], outward[e], r[e], edge[e]
-        start = s[0] * q[0] + s[1] * q[1] + s[2] * q[2]
+        s, v = _row(panels.tangents[index], e), _row(panels.outward[index], e)
+        start = s[0] * r[e, 0] + s[1] * r[e, 1] + s[2] * r[e, 2]
         stop = s[0] * r[f, 0] + s[1] * r[f, 1] + s[2] * r[f, 2]
-        offset = v[0] * q[0] + v[1] * q[1] + v[2] * q[2]  # in-plane distance to the edge's line
-        distance2 = offset * offset + height * height
-        log = _edge_logarithm(start, stop, lengths[e], lengths[f], distance2)
-        rise = lengths[f] - lengths[e]  # ∫ l / r dl
-        inverse_start = 1.0 / lengths[e] if lengths[e] > 0.0 else 0.0
-        inverse_stop = 1.0 / lengths[f] if lengths[f] > 0.0 else 0.0
-        turn = stop * inverse_stop - start * inverse_start
-        along2 = log - turn  # ∫ l^2 / r^3 dl
-        along = inverse_start - inverse_stop  # ∫ l / r^3 dl
-        across = 0.0  # ∫ 1 / r^3 dl
-        if distance2 >= ON_LINE * (stop - start) ** 2:
-            across = turn / distance2
+        offset = v[0] * r[e, 0] + v[1] * r[e, 1] + v[2] * r[e, 2]
+        log, rise, along2, along, across = _edge_moments(
+            start, stop, lengths[e], lengths[f], offset, height
+        )
         potential += offset * log
         across_sum += offset * across
-        for i in range(3):
-            flux[i] -= v[i] * log
-            foot_i = offset * v[i] + height * n[i]
-            for j in range(3):
-                foot_j = offset * v[j] + height * n[j]
-                w[i, j] = (
-                    along2 * s[i] * s[j] + along * (s[i] * foot_j + foot_i * s[j]) + across * foot_i * foot_j
-                )
-                spread[i, j] -= v[j] * (offset * v[i] * log + s[i] * rise)
-                normal[i, j] -= v[j] * (along * s[i] + offset * across * v[i])
-                normal[i, j] -= height * across * (v[i] * n[j] + n[i] * v[j])
-    # flux holds its tangential part only, here.
+        _add_edge(e, log, rise, along2, along, across, offset, height, s, v, n, flux, spread, normal, edge)
+    _close(potential, omega, height, across_sum, n, flux, spread, normal, edge)
+    return potential, omega, height
+
+
+@kernel
+def _close(potential, omega, height, across_sum, n, flux, spread, normal, edge):
+    """Add the parts along the normal, and mirror the upper triangles. `flux` comes without its normal part."""
     for i in range(3):
-        for j in range(3):
+        for j in range(i, 3):
             both = n[i] * n[j]
             spread[i, j] += height * (n[i] * flux[j] + flux[i] * n[j]) + both * (height * omega - potential)
             normal[i, j] = height * (normal[i, j] + both * across_sum)
-        spread[i, i] += potential
-        normal[i, i] += omega
+            if i == j:
+                spread[i, i] += potential
+                normal[i, i] += omega
+            spread[j, i], normal[j, i] = spread[i, j], normal[i, j]
+            for e in range(3):
+                edge[e, j, i] = edge[e, i, j]
     for i in range(3):
         flux[i] += n[i] * omega
-    return potential, omega, height

@@ -16,7 +16,7 @@ from numba import njit, prange
 from numpy.typing import ArrayLike
 
 from deepfracture.fracture.elastostatics import Solution, inertia_stress
-from deepfracture.fracture.integrals import FASTMATH, triangle_integrals
+from deepfracture.fracture.integrals import kernel, parallel_kernel, triangle_integrals
 from deepfracture.types import BadInput, Floats
 
 FAR = 2.5
@@ -172,13 +172,14 @@ def _far_strain(points, sources, poisson, strain):
         strain[point, 5] += e01
 
 
-@njit(cache=True, fastmath=FASTMATH, parallel=True)
+@parallel_kernel
 def _near_strain(points, sources, panels, gradients, tractions, poisson, strain):
     """Add the strain (n, 6) that near triangles cause, in closed form."""
     c0, c1, c2, limit = sources[0], sources[1], sources[2], sources[18]
     for point in prange(len(points)):
         # The very float32 comparison of the far kernel: each triangle counts exactly once.
         x0, x1, x2 = np.float32(points[point, 0]), np.float32(points[point, 1]), np.float32(points[point, 2])
+        r, lengths = np.empty((3, 3)), np.empty(3)
         flux, spread, normal = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
         edge, total = np.empty((3, 3, 3)), np.zeros((3, 3))
         for s in range(len(limit)):
@@ -187,7 +188,7 @@ def _near_strain(points, sources, panels, gradients, tractions, poisson, strain)
                 continue
             _, omega, _ = triangle_integrals(
                 points[point, 0], points[point, 1], points[point, 2],
-                panels, s, False, flux, spread, normal, edge,
+                panels, s, False, r, lengths, flux, spread, normal, edge,
             )  # fmt: skip
             _add_gradient(panels, s, gradients[s], tractions[s], poisson, omega, flux, normal, edge, total)
         strain[point, 0] += total[0, 0]
@@ -198,7 +199,7 @@ def _near_strain(points, sources, panels, gradients, tractions, poisson, strain)
         strain[point, 5] += (total[0, 1] + total[1, 0]) / 2
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@kernel
 def _add_gradient(panels, s, g, t, poisson, omega, flux, normal, edge, total):
     """Add the displacement gradient caused by triangle s with surface gradient g and traction t."""
     shear, diagonal = 1 - 2 * poisson, 3 - 4 * poisson

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import heapq
+
 import numpy as np
 from numba import njit
 
-from deepfracture.types import Floats, Ints, Labels
+from deepfracture.types import Floats, Labels
 
 from .growth import Crack, Front
 
@@ -77,45 +79,46 @@ def _flood(inside, cut):
     return labels, count
 
 
-def _shared_faces(labels: Labels) -> Ints:
-    """Pairs of different labels that touch, once a face and both ways round, shape (n, 2)."""
+def _neighbours(labels: Labels) -> list[dict[int, int]]:
+    """For each label the labels that touch it and how many faces they share."""
+    touching: list[dict[int, int]] = [{} for _ in range(int(labels.max()) + 1)]
     pairs = []
     for axis in range(3):
         a = np.moveaxis(labels, axis, 0)
         low, high = a[:-1].ravel(), a[1:].ravel()
         touch = (low != high) & (low > 0) & (high > 0)
         pairs.append(np.stack([low[touch], high[touch]], axis=1))
-    found = np.concatenate(pairs)
-    return np.concatenate([found, found[:, ::-1]]).astype(np.int64)
-
-
-def _renumbered(labels: Labels) -> Labels:
-    values, inverse = np.unique(labels, return_inverse=True)
-    first = 0 if len(values) and values[0] == 0 else 1
-    return (inverse.reshape(labels.shape) + first).astype(np.int32)
+    for (a, b), faces in zip(*np.unique(np.concatenate(pairs), axis=0, return_counts=True), strict=True):
+        touching[a][b] = touching[a].get(b, 0) + int(faces)
+        touching[b][a] = touching[b].get(a, 0) + int(faces)
+    return touching
 
 
 def merge_dust(labels: Labels, smallest: int) -> Labels:
-    """Give each piece below `smallest` voxels to the neighbour that it shares most faces with."""
-    labels = labels.copy()
-    while True:
-        sizes = np.bincount(labels.ravel())
-        sizes[0] = 0
-        dust = np.flatnonzero((sizes > 0) & (sizes < smallest))
-        if not len(dust):
-            return _renumbered(labels)
-        size_of = labels.max() + 1
-        pairs, faces = np.unique(_shared_faces(labels) @ [size_of, 1], return_counts=True)
-        own, other = pairs // size_of, pairs % size_of
-        merged = False
-        for piece in dust[np.argsort(sizes[dust])]:
-            mine = own == piece
-            if mine.any():
-                labels[labels == piece] = other[mine][faces[mine].argmax()]
-                merged = True
-                break
-        if not merged:  # what is left touches nothing: bodies of their own
-            return _renumbered(labels)
+    """Give each piece below `smallest` voxels, smallest first, to the neighbour it shares most faces with.
+
+    Dust that touches nothing stays: it is a body of its own. Labels are renumbered without gaps."""
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    touching = _neighbours(labels)
+    home = np.arange(len(sizes))
+    queue = [(int(sizes[piece]), int(piece)) for piece in np.flatnonzero((sizes > 0) & (sizes < smallest))]
+    heapq.heapify(queue)
+    while queue:
+        size, piece = heapq.heappop(queue)
+        if size != sizes[piece] or home[piece] != piece or not touching[piece]:
+            continue  # grew meanwhile, is gone already, or touches nothing
+        into = max(touching[piece], key=lambda other: (touching[piece][other], -other))
+        home[home == piece] = into
+        sizes[into] += size
+        for other, faces in touching[piece].items():
+            del touching[other][piece]
+            if other != into:
+                touching[into][other] = touching[other][into] = touching[into].get(other, 0) + faces
+        if sizes[into] < smallest:
+            heapq.heappush(queue, (int(sizes[into]), int(into)))
+    kept, number = np.unique(home[labels], return_inverse=True)
+    return (number.reshape(labels.shape) + (kept[0] > 0)).astype(np.int32)
 
 
 def fragments_of(inside: np.ndarray, cut: np.ndarray, smallest: int) -> Labels:

@@ -32,8 +32,8 @@ MAX_CRACKS = 400
 """A guard, far above what any load reached in tests."""
 SPACING_CELLS = 1.6
 """Cracks nearer than this many coarse cells cannot be told apart by the stress field: none starts so close."""
-SMALLEST_CELLS = 40
-"""Pieces of fewer voxels are dust and join a neighbour."""
+SMALLEST_CELLS = 64
+"""Pieces of fewer voxels, a cube of four, are dust and join a neighbour."""
 WAVES = (0.5, 0.25, 0.12)
 """Lengths of the waviness of crack surfaces [m]."""
 

@@ -46,7 +46,7 @@ def _pot() -> Mesh:
     outside = spline(
         [(0.46, 0.0), (0.43, 0.08), (0.52, 0.3), (0.74, 0.68), (0.83, 1.05), (0.72, 1.42), (0.47, 1.7), (0.41, 1.86), (0.52, 2.06)]
     )
-    return turned(_vessel(_rounded_foot(outside, 0.04), WALL, 0.19, 0.14), 0.047)
+    return turned(_vessel(_rounded_foot(outside, 0.04), 0.19, 0.21, 0.14), 0.047)
 
 
 def _bowl() -> Mesh:

@@ -84,8 +84,8 @@ def turned(pieces: Sequence[Floats], length: float) -> Mesh:
     return mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 
-def box(size: ArrayLike, length: float, *, centre: ArrayLike = (0, 0, 0), rounding: float = 0.0) -> Mesh:
-    """A box with a regular triangulation of about `length`; its edges rounded by a radius."""
+def box(size: ArrayLike, length: float) -> Mesh:
+    """A box round the origin with a regular triangulation of about `length`."""
     half = np.asarray(size, float) / 2
     vertices, faces, start = [], [], 0
     for axis in range(3):
@@ -101,13 +101,7 @@ def box(size: ArrayLike, length: float, *, centre: ArrayLike = (0, 0, 0), roundi
             vertices.append(points)
             faces.append((sheet if side > 0 else sheet[:, ::-1]) + start)
             start += gu.size
-    mesh = weld(np.concatenate(vertices), np.concatenate(faces))
-    points = np.array(mesh.vertices)
-    if rounding:
-        core = np.clip(points, rounding - half, half - rounding)
-        away = points - core
-        points = core + rounding * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-    return Mesh(points + np.asarray(centre, float), mesh.faces)
+    return weld(np.concatenate(vertices), np.concatenate(faces))
 
 
 def slab(quads: Sequence[tuple[ArrayLike, int, int]], depth: float, layers: int) -> Mesh:

@@ -86,6 +86,14 @@ def faults(mesh: Mesh) -> Faults:
     )
 
 
+def torn_vertices(mesh: Mesh) -> Ints:
+    """Vertices of edges that do not have just two agreeing faces, ascending."""
+    edges = _half_edges(mesh.faces)
+    which, counts = _undirected(edges)
+    forward = np.bincount(which, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1), minlength=len(counts))
+    return np.unique(edges[(counts[which] != 2) | (forward[which] != 0)])
+
+
 def shell_volumes(mesh: Mesh, piece: Ints) -> NDArray[np.float64]:
     """Signed volume of each shell, shape (shells,)."""
     a, b, c = np.moveaxis(mesh.triangles, 1, 0)

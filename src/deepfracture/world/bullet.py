@@ -11,6 +11,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from deepfracture.world.engine import (
     Surface,
     quaternion,
     rotation,
+    times,
 )
 
 
@@ -35,8 +37,11 @@ class _Frame:
     """Bullet's frame of a body: origin at the centre of mass, axes of inertia."""
 
     centre: Floats
-    axes: Floats
-    """mesh_from_principal, shape (3, 3)."""
+    quat_wxyz: Floats
+    """Rotation mesh_from_principal, shape (4,)."""
+
+
+_CENTRED = _Frame(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 class Bullet:
@@ -64,16 +69,18 @@ class Bullet:
         self._friction = float(np.sqrt(surface.friction))
         self._restitution = float(np.sqrt(surface.restitution))
         self._frames: dict[int, _Frame] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix="deepfracture-")
+        self._count = count()
 
     def add_body(self, hulls: Sequence[Floats], mass: Mass, motion: Motion) -> int:
         moments, axes = mass.principal()
         shape = self._shape([(hull - mass.centre) @ axes for hull in hulls])
-        return self._add(shape, mass.mass, moments, _Frame(mass.centre, axes), motion, TURNING)
+        return self._add(shape, mass.mass, moments, _Frame(mass.centre, quaternion(axes)), motion, TURNING)
 
     def add_ball(self, radius: float, mass: float, motion: Motion) -> int:
         shape = self._api.createCollisionShape(self._api.GEOM_SPHERE, radius=radius, **self._world)
         moments = np.full(3, 0.4 * mass * radius**2)
-        return self._add(shape, mass, moments, _Frame(np.zeros(3), np.eye(3)), motion, ROLLING)
+        return self._add(shape, mass, moments, _CENTRED, motion, ROLLING)
 
     def add_floor(self, height: float, friction: float) -> int:
         half = [FLOOR_REACH, FLOOR_REACH, FLOOR_DEPTH]
@@ -83,7 +90,7 @@ class Bullet:
             0, shape, basePosition=place, useMaximalCoordinates=1, **self._world
         )
         self._looks(floor, friction / self._friction)
-        self._frames[floor] = _Frame(np.zeros(3), np.eye(3))
+        self._frames[floor] = _CENTRED
         return floor
 
     def remove(self, body: int) -> None:
@@ -105,11 +112,11 @@ class Bullet:
         frame = self._frames[body]
         place, (x, y, z, w) = self._api.getBasePositionAndOrientation(body, **self._world)
         velocity, spin = self._api.getBaseVelocity(body, **self._world)
-        turn = rotation(np.array([w, x, y, z])) @ frame.axes.T
-        origin = np.array(place) - turn @ frame.centre
-        return Motion(origin, quaternion(turn), np.array(velocity), np.array(spin))
+        quat = times(np.array([w, x, y, z]), frame.quat_wxyz * [1, -1, -1, -1])
+        origin = np.array(place) - rotation(quat) @ frame.centre
+        return Motion(origin, quat, np.array(velocity), np.array(spin))
 
-    def contacts(self, body: int) -> list[Contact]:
+    def contacts(self, body: int, began: Motion) -> list[Contact]:
         found: list[Contact] = []
         for point in self._api.getContactPoints(bodyA=body, **self._world):
             first, second = point[1], point[2]
@@ -123,6 +130,7 @@ class Bullet:
 
     def close(self) -> None:
         self._api.disconnect(**self._world)
+        self._folder.cleanup()
 
     def _add(
         self, shape: int, mass: float, moments: Floats, frame: _Frame, motion: Motion, damping: float
@@ -152,19 +160,18 @@ class Bullet:
         if len(hulls) == 1:
             points = hulls[0].tolist()
             return self._api.createCollisionShape(self._api.GEOM_MESH, vertices=points, **self._world)
-        # A file with one object a hull is pybullet's only way to a compound of hulls.
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "hulls.obj")
-            with open(path, "w", encoding="ascii") as file:
-                file.write(_obj(hulls))
-            return self._api.createCollisionShape(self._api.GEOM_MESH, fileName=path, **self._world)
+        # A file with one object a hull is pybullet's only way to a compound of hulls. It is read again when
+        # the body is made, so it stays until the engine is closed.
+        path = os.path.join(self._folder.name, f"{next(self._count)}.obj")
+        with open(path, "w", encoding="ascii") as file:
+            file.write(_obj(hulls))
+        return self._api.createCollisionShape(self._api.GEOM_MESH, fileName=path, **self._world)
 
 
 def _to_bullet(motion: Motion, frame: _Frame) -> tuple[list[float], list[float]]:
     """Place of the centre of mass and orientation (x, y, z, w) of the principal axes."""
-    turn = rotation(motion.quat_wxyz)
-    w, x, y, z = quaternion(turn @ frame.axes)
-    return list(motion.position + turn @ frame.centre), [x, y, z, w]
+    w, x, y, z = times(motion.quat_wxyz, frame.quat_wxyz)
+    return list(motion.position + rotation(motion.quat_wxyz) @ frame.centre), [x, y, z, w]
 
 
 def _obj(hulls: list[Floats]) -> str:

@@ -216,14 +216,20 @@ def _clip(triangles, skin, normal, offset):
         # The boundary of the side below runs from p to q where it holds the lone corner, else back.
         cuts[cut, side], cuts[cut, other] = p, q
         cut += 1
+    _close(sides, count, cuts[:cut])
+    low, high = count[0], count[1]
+    return (sides[0, :low].copy(), skins[0, :low].copy()), (sides[1, :high].copy(), skins[1, :high].copy())
+
+
+@njit(cache=True, nogil=True)
+def _close(sides, count, cuts):
+    """Close both sides of a plane with a fan over the segments in which it cut."""
     apex = np.zeros(3)
-    for s in range(cut):
-        apex += (cuts[s, 0] + cuts[s, 1]) / (2 * cut)
-    for s in range(cut):
+    for s in range(len(cuts)):
+        apex += (cuts[s, 0] + cuts[s, 1]) / (2 * len(cuts))
+    for s in range(len(cuts)):
         p, q = cuts[s, 0], cuts[s, 1]
         m, o = count[0], count[1]
         sides[0, m, 0], sides[0, m, 1], sides[0, m, 2] = q, p, apex
         sides[1, o, 0], sides[1, o, 1], sides[1, o, 2] = p, q, apex
         count += 1
-    below, over = count[0], count[1]
-    return (sides[0, :below].copy(), skins[0, :below].copy()), (sides[1, :over].copy(), skins[1, :over].copy())

@@ -93,8 +93,9 @@ class Rapier:
             np.array(held.angvel.to_tuple()),
         )
 
-    def contacts(self, body: int) -> list[Contact]:
+    def contacts(self, body: int, began: Motion) -> list[Contact]:
         found: list[Contact] = []
+        turn = rotation(began.quat_wxyz)
         for collider in self._body(body).colliders:
             for pair in self._world.narrow_phase.contact_pairs_with(collider):
                 # Points are in the frame of the first collider, which is its body's: none has an offset.
@@ -105,8 +106,9 @@ class Rapier:
                     normal = push * np.array(manifold.data.normal.to_tuple())
                     for point in manifold.points:
                         if point.impulse > 0:
-                            local = point.local_p1 if first == body else point.local_p2
-                            found.append(Contact(other, self._place(body, local), normal, point.impulse))
+                            local = (point.local_p1 if first == body else point.local_p2).to_tuple()
+                            place = began.position + turn @ np.array(local)
+                            found.append(Contact(other, place, normal, point.impulse))
         return sorted(found, key=lambda c: (c.other, -c.impulse, *c.position))
 
     def close(self) -> None:
@@ -134,12 +136,9 @@ class Rapier:
     def _body(self, body: int) -> Any:
         return self._world.rigid_bodies.get(self._handles[body])
 
-    def _owner(self, collider: Any) -> int:
-        return self._number[self._world.colliders.get(collider).parent]
-
-    def _place(self, body: int, local: Any) -> Floats:
-        motion = self.motion(body)
-        return motion.position + rotation(motion.quat_wxyz) @ np.array(local.to_tuple())
+    def _owner(self, handle: Any) -> int:
+        collider: Any = self._world.colliders.get(handle)
+        return self._number[collider.parent]
 
     def _looks(self, friction: float) -> dict[str, Any]:
         multiply = self._api.CoefficientCombineRule.MULTIPLY  # as Bullet does

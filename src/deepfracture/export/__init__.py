@@ -1,0 +1,8 @@
+"""Hands results on: animated glTF, fragment meshes, film and pictures."""
+
+from .film import write_film
+from .gltf import write_glb
+from .meshes import write_fragments
+from .picture import before_hit_after, exploded
+
+__all__ = ["before_hit_after", "exploded", "write_film", "write_fragments", "write_glb"]

@@ -1,0 +1,122 @@
+"""One self-contained page that plays a recording: opens from disk, needs no network."""
+
+from __future__ import annotations
+
+import io
+import os
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..export.camera import Camera, frame_action
+from ..export.files import replacing
+from ..export.motion import KEY_TOL, continuous, exists, floor_height
+from ..export.studio import FILL_LIGHT, KEY_LIGHT, level_axes
+from ..export.surface import COLOURS, track_surfaces
+from ..types import Recording, Track
+
+if TYPE_CHECKING:
+    from viser import FrameHandle, SceneApi, ViserServer
+
+PAGE_RATE = 60
+"""Most poses a second that the page holds."""
+PAUSE = 1.5
+"""Seconds that the end stands still before the page starts again."""
+FLOOR_WIDTH = 40.0
+"""Side of the drawn floor [m]."""
+
+
+def write_page(recording: Recording, path: str | os.PathLike) -> None:
+    """Write a page that plays the recording again and again; the viewer's own bar pauses and rewinds.
+
+    Opens a local port while it runs: viser's scene lives in its server."""
+    import viser
+
+    with redirect_stdout(io.StringIO()):  # viser prints an address, at which nothing is to be seen
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            bodies = _build(server, recording)
+            html = _recorded(server, recording, bodies)
+        finally:
+            server.stop()
+    with replacing(path) as temporary:
+        temporary.write_text(html, encoding="utf-8")
+
+
+def _build(server: ViserServer, recording: Recording) -> list[tuple[Track, FrameHandle]]:
+    """Lights, camera, floor and one frame with its surfaces for each body."""
+    scene = server.scene
+    scene.set_up_direction("+z")
+    camera = frame_action(recording, 1.6)
+    _lights(scene, camera)
+    server.initial_camera.position = tuple(camera.position)
+    server.initial_camera.look_at = tuple(camera.target)
+    server.initial_camera.fov = float(np.radians(camera.field))
+    height = floor_height(recording)
+    if height is not None:
+        _floor(scene, height)
+    tracks = [track for track in recording.tracks if track.kind != "floor" and len(track.positions)]
+    return [(track, _body(scene, track, f"/{k:03d}_{track.kind}")) for k, track in enumerate(tracks)]
+
+
+def _lights(scene: SceneApi, camera: Camera) -> None:
+    """Three fixed lights of our own: viser's default ones look different on the first and on later rounds."""
+    scene.configure_default_lights(enabled=False)
+    scene.configure_environment_map(hdri=None)
+    level = level_axes(camera)
+    scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 175, 160), intensity=1.6)
+    for name, toward, intensity in (("/key", KEY_LIGHT, 2.2), ("/fill", FILL_LIGHT, 0.5)):
+        scene.add_light_directional(
+            name, intensity=intensity, cast_shadow=name == "/key", position=tuple(camera.target + 10 * toward @ level)
+        )
+
+
+def _floor(scene: SceneApi, height: float) -> None:
+    corner = FLOOR_WIDTH / 2
+    scene.add_mesh_simple(
+        "/floor",
+        np.array([[-corner, -corner, 0], [corner, -corner, 0], [corner, corner, 0], [-corner, corner, 0]]),
+        np.array([[0, 1, 2], [0, 2, 3]]),
+        color=COLOURS["floor"],
+        position=(0.0, 0.0, height),
+        cast_shadow=False,
+    )
+
+
+def _body(scene: SceneApi, track: Track, name: str) -> FrameHandle:
+    frame = scene.add_frame(
+        name,
+        show_axes=False,
+        position=tuple(track.positions[0]),
+        wxyz=tuple(track.quats_wxyz[0]),
+        visible=exists(track, 0),
+    )
+    for surface in track_surfaces(track):
+        scene.add_mesh_simple(
+            f"{name}/{surface.look}", surface.vertices, surface.faces, color=COLOURS[surface.look]
+        )
+    return frame
+
+
+def _recorded(server: ViserServer, recording: Recording, bodies: list[tuple[Track, FrameHandle]]) -> str:
+    """Play the recording into viser's serializer: a message for each body that moved."""
+    serializer = server.get_scene_serializer()
+    stride = max(1, round(1 / (PAGE_RATE * recording.frame_time)))
+    quats = [continuous(track.quats_wxyz) for track, _ in bodies]
+    for frame in range(0, recording.frames, stride):
+        for (track, handle), turns in zip(bodies, quats, strict=True):
+            if handle.visible != exists(track, frame):
+                handle.visible = exists(track, frame)
+            if exists(track, frame):
+                _move(handle, track.positions[frame - track.start], turns[frame - track.start])
+        serializer.insert_sleep(stride * recording.frame_time)
+    serializer.insert_sleep(PAUSE)
+    return serializer.as_html()
+
+
+def _move(handle: FrameHandle, position: np.ndarray, quat_wxyz: np.ndarray) -> None:
+    if np.abs(handle.position - position).max() > KEY_TOL:
+        handle.position = position
+    if np.abs(handle.wxyz - quat_wxyz).max() > KEY_TOL:
+        handle.wxyz = quat_wxyz

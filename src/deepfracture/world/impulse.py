@@ -1,0 +1,126 @@
+"""From an engine's contacts to the Impact that a breaker sees.
+
+The engine says where and along which normals bodies pushed each other; momentum says how much. The total
+impulse from each striker is m dv of the bodies (friction included), shared among its contacts as the
+engine's normal impulses are. Positions and normals are then taken from the true surface, because the
+convex parts that collide lie up to some centimetres off it where the shape is hollow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepfracture.geometry import closest
+from deepfracture.types import Floats, Impact, Mesh
+from deepfracture.world.engine import Contact, Motion, rotation
+
+LEAST_CLOSING = 0.3
+"""Slower contacts are resting or settling, not collisions [m/s]: a fall of half a centimetre."""
+FLOOR_RADIUS = 100.0
+"""Radius of curvature that stands for a flat floor [m]."""
+SPOT = 0.05
+"""Contacts of one striker nearer to each other are one [m]: neighbouring convex parts share a blow."""
+BALL_SPOT = 0.3
+"""The same for a ball, in radii, if that is more."""
+NOISE = 0.01
+"""Impulses below this share of the strongest are left out."""
+OUTWARDS = 0.1
+"""The surface is sought from this far outside the contact [m], so that it is the side which was struck."""
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """A contact and how fast the bodies approached there."""
+
+    contact: Contact
+    closing: float
+    """Along the normal, before the step [m/s]; negative when they part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Party:
+    """A moving body that takes part in a collision."""
+
+    before: Motion
+    after: Motion
+    gained: Floats
+    """Momentum from contacts during the step [N s], world frame, shape (3,)."""
+    ball: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Blow:
+    position: Floats
+    impulse: Floats
+    closing: float
+    radius: float
+
+
+def impact_of(
+    mesh: Mesh, own: Party, pushes: Sequence[Push], parties: Mapping[int, Party], radii: Mapping[int, float]
+) -> Impact:
+    """The impulses on `own` in its body frame, strongest first; `radii` of curvature by striker [m]."""
+    blows: list[_Blow] = []
+    for striker, total in _totals(own, pushes, parties).items():
+        spot = max(SPOT, BALL_SPOT * radii[striker]) if striker in parties else SPOT
+        blows += _blows([p for p in pushes if p.contact.other == striker], total, radii[striker], spot)
+    blows.sort(key=lambda blow: -float(np.linalg.norm(blow.impulse)))
+    strongest = float(np.linalg.norm(blows[0].impulse))
+    blows = [blow for blow in blows if np.linalg.norm(blow.impulse) > NOISE * strongest]
+    turn = rotation(own.before.quat_wxyz)
+    impulse = np.array([blow.impulse for blow in blows]) @ turn
+    contact = (np.array([blow.position for blow in blows]) - own.before.position) @ turn
+    magnitude = np.linalg.norm(impulse, axis=1)
+    direction = impulse / magnitude[:, None]
+    position, normal = _on_surface(mesh, contact, direction)
+    speed = max(blows[0].closing, LEAST_CLOSING)
+    return Impact(position, direction, magnitude, normal, speed, blows[0].radius)
+
+
+def _totals(own: Party, pushes: Sequence[Push], parties: Mapping[int, Party]) -> dict[int, Floats]:
+    """The whole impulse on `own` from each striker, friction included."""
+    normal: dict[int, Floats] = {}
+    for push in pushes:
+        share = push.contact.impulse * push.contact.normal
+        normal[push.contact.other] = normal.get(push.contact.other, np.zeros(3)) + share
+    # A ball's loss is its striker's gift. What then is missing came from the one striker left over.
+    totals = {n: -parties[n].gained if n in parties and parties[n].ball else p for n, p in normal.items()}
+    rest = [n for n in totals if not (n in parties and parties[n].ball)] or list(totals)
+    if len(rest) == 1:
+        totals[rest[0]] = own.gained - sum((p for n, p in totals.items() if n != rest[0]), np.zeros(3))
+    return totals
+
+
+def _blows(pushes: list[Push], total: Floats, radius: float, spot: float) -> list[_Blow]:
+    """One striker's contacts, those within `spot` of a stronger one merged into it."""
+    weights = np.array([push.contact.impulse for push in pushes])
+    normals = np.array([push.contact.normal for push in pushes])
+    places = np.array([push.contact.position for push in pushes])
+    impulses = weights[:, None] * normals
+    impulses += np.outer(weights / weights.sum(), total - impulses.sum(axis=0))
+    left = list(np.argsort(-weights, kind="stable"))
+    blows = []
+    while left:
+        near = [i for i in left if np.linalg.norm(places[i] - places[left[0]]) < spot]
+        left = [i for i in left if i not in near]
+        place = weights[near] @ places[near] / weights[near].sum()
+        closing = max(pushes[i].closing for i in near)
+        blows.append(_Blow(place, impulses[near].sum(axis=0), closing, radius))
+    return blows
+
+
+def _on_surface(mesh: Mesh, contact: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """The nearest points of the true surface and its outward normals there."""
+    outside = contact - OUTWARDS * direction
+    found = closest(mesh, outside)
+    area = mesh.area_vectors[found.faces]
+    normal = area / np.linalg.norm(area, axis=1, keepdims=True)
+    # On an edge any direction between its faces is a normal; the one that met the blow is towards `outside`.
+    away = outside - found.points
+    length = np.linalg.norm(away, axis=1, keepdims=True)
+    edge = (np.einsum("ni,ni->n", normal, direction) > -0.1) & (length[:, 0] > 1e-9)
+    normal = np.where(edge[:, None], away / np.maximum(length, 1e-9), normal)
+    return found.points, normal

@@ -1,0 +1,351 @@
+"""Scenes are data: what stands where, what flies at it, and the world around them. TOML or JSON files."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepfracture.types import BadInput, Floats, Shape
+from deepfracture.world.engine import ENGINES, rotation
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+
+Vector = tuple[float, float, float]
+STEEL = 7800.0
+"""Density of the balls that the builders throw [kg/m^3]."""
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A breakable shape at the start."""
+
+    shape: str
+    """Built-in name, or a mesh file (relative to the scene's file)."""
+    material: str
+    position: Vector = (0.0, 0.0, 0.0)
+    """Of the centre of the shape's box [m]."""
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Rotation world_from_body."""
+    velocity: Vector = (0.0, 0.0, 0.0)
+    """Of the centre of mass [m/s]."""
+    spin: Vector = (0.0, 0.0, 0.0)
+    """Angular velocity [rad/s]."""
+
+    def __post_init__(self) -> None:
+        _text(self, "shape", "material")
+        _vectors(self, position=3, quat_wxyz=4, velocity=3, spin=3)
+        if abs(np.linalg.norm(self.quat_wxyz) - 1) > 1e-3:
+            raise BadInput(f"quat_wxyz must have length 1, got {list(self.quat_wxyz)}")
+
+
+@dataclass(frozen=True)
+class Ball:
+    """An unbreakable ball."""
+
+    radius: float
+    """[m]"""
+    density: float
+    """[kg/m^3]"""
+    position: Vector
+    """[m]"""
+    velocity: Vector
+    """[m/s]"""
+    delay: float = 0.0
+    """When it appears [s]."""
+
+    def __post_init__(self) -> None:
+        _positive(self, "radius", "density")
+        _at_least_zero(self, "delay")
+        _vectors(self, position=3, velocity=3)
+
+    @property
+    def mass(self) -> float:
+        """[kg]"""
+        return self.density * 4 / 3 * np.pi * self.radius**3
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A horizontal floor."""
+
+    height: float = 0.0
+    """[m]"""
+    friction: float = 0.6
+    """Coulomb coefficient against everything."""
+
+    def __post_init__(self) -> None:
+        _number(self, "height")
+        _at_least_zero(self, "friction")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that a simulation needs to know besides how things break."""
+
+    shapes: tuple[Placed, ...]
+    balls: tuple[Ball, ...] = ()
+    floor: Floor | None = None
+    gravity: float = GRAVITY
+    """Along -z [m/s^2]."""
+    duration: float = 5.0
+    """Longest time simulated [s]; it ends sooner once everything lies still."""
+    frame_rate: int = 60
+    """Frames a second in the recording."""
+    steps_per_second: int = 240
+    """Of the engine; a multiple of the frame rate."""
+    friction: float = 0.5
+    """Coulomb coefficient between bodies."""
+    restitution: float = 0.2
+    """Of every contact."""
+    push: float = 0.5
+    """Share of a breaking collision's impulse that the shape takes as a whole before it is fragments: 1 the
+    fragments start from the velocity after the collision, 0 from the velocity before it, and what struck
+    keeps going and pushes the fragments that it meets. Momentum is conserved for every share."""
+    engine: str = "rapier"
+    seed: int = 0
+    breaker: str = ""
+    """Which breaker to use; empty: whatever the caller has."""
+
+    def __post_init__(self) -> None:
+        if not self.shapes:
+            raise BadInput("shapes must name at least one shape")
+        _positive(self, "duration", "friction")
+        _at_least_zero(self, "gravity", "restitution", "push")
+        _whole(self, "frame_rate", "steps_per_second", "seed")
+        if self.restitution > 1 or self.push > 1:
+            raise BadInput(f"restitution and push must be at most 1, got {self.restitution} and {self.push}")
+        if self.frame_rate < 1 or self.steps_per_second < 1 or self.steps_per_second % self.frame_rate:
+            raise BadInput(
+                f"steps_per_second must be a multiple of frame_rate, got {self.steps_per_second} "
+                f"and {self.frame_rate}"
+            )
+        if self.engine not in ENGINES:
+            raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {self.engine!r}")
+        if not isinstance(self.breaker, str):
+            raise BadInput(f"breaker must be text, got {self.breaker!r}")
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """The scene in a .toml or .json file. BadInput names the file and the field."""
+    path = Path(path)
+    if path.suffix not in (".toml", ".json"):
+        raise BadInput(f"{path}: a scene is a .toml or .json file")
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+        scene = _scene(data)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise BadInput(f"{path}: cannot be read: {reason}") from error
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise BadInput(f"{path}: not {path.suffix[1:].upper()}: {str(error).splitlines()[0]}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+    return replace(scene, shapes=tuple(_beside(path, placed) for placed in scene.shapes))
+
+
+def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a .toml or .json file that `load_scene` reads back as the same scene."""
+    path = Path(path)
+    if path.suffix not in (".toml", ".json"):
+        raise BadInput(f"{path}: a scene is a .toml or .json file")
+    data = {key: value for key, value in asdict(scene).items() if value is not None}
+    text = _toml(data) if path.suffix == ".toml" else json.dumps(data, indent=2) + "\n"
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def throw_scene(
+    name: str,
+    shape: Shape,
+    rng: np.random.Generator,
+    *,
+    material: str,
+    aim: Floats | None = None,
+    direction: Floats | None = None,
+    speed: float | None = None,
+    radius: float = 0.2,
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+    engine: str = "rapier",
+    seed: int = 0,
+) -> Scene:
+    """The shape stands on the floor; a steel ball flies at it.
+
+    `aim` is a point of the body frame that the ball's path goes through, `direction` the way it is thrown
+    (world frame); what is not given is drawn: a point near the middle, from anywhere around and slightly
+    downwards, at 15 to 25 m/s.
+    """
+    turn = rotation(np.asarray(quat_wxyz, float))
+    stand = (shape.mesh.vertices @ turn.T)[:, 2]
+    place = np.array([0.0, 0.0, -stand.min() + 1e-3])
+    if aim is None:
+        aim = rng.uniform(-0.15, 0.15, 3) * np.ptp(shape.mesh.bounds, axis=0)
+    if direction is None:
+        azimuth = rng.uniform(0, 2 * np.pi)
+        direction = np.array([np.cos(azimuth), np.sin(azimuth), -0.15])
+    if speed is None:
+        speed = float(rng.uniform(15, 25))
+    velocity = np.asarray(direction, float) / np.linalg.norm(direction) * speed
+    goal = place + turn @ np.asarray(aim, float)
+    flight = 4.0 / speed
+    start = goal - velocity * flight + [0, 0, GRAVITY * flight**2 / 2]
+    start[2] = max(start[2], radius + 0.01)
+    ball = Ball(radius, STEEL, _tuple(start), _tuple(velocity))
+    stands = Placed(name, material, _tuple(place), quat_wxyz)
+    return Scene((stands,), (ball,), Floor(), engine=engine, seed=seed)
+
+
+def learning_scene(
+    name: str,
+    shape: Shape,
+    rng: np.random.Generator,
+    *,
+    material: str,
+    speed: tuple[float, float] = (5.0, 30.0),
+    radius: float = 0.2,
+    distance: float = 2.5,
+    jitter: float = 0.0,
+    engine: str = "rapier",
+    seed: int = 0,
+) -> Scene:
+    """The scene of the paper's data: no gravity, no floor, and a ball from a random point of a sphere of
+    radius `distance` [m] towards the centre (off it by up to `jitter` [m]) at a random speed [m/s]."""
+    reach = float(np.linalg.norm(shape.mesh.vertices, axis=1).max()) + radius
+    if distance <= reach:
+        raise BadInput(f"distance must be more than {reach:.2f} m to start outside {name}, got {distance}")
+    outwards = rng.normal(size=3)
+    outwards /= np.linalg.norm(outwards)
+    goal = jitter * rng.uniform(-1, 1, 3)
+    velocity = goal - distance * outwards
+    velocity *= rng.uniform(*speed) / np.linalg.norm(velocity)
+    ball = Ball(radius, STEEL, _tuple(distance * outwards), _tuple(velocity))
+    return Scene((Placed(name, material),), (ball,), gravity=0.0, duration=1.0, engine=engine, seed=seed)
+
+
+def _tuple(vector: Floats) -> Vector:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z
+
+
+def _beside(path: Path, placed: Placed) -> Placed:
+    """File names of shapes are relative to the scene's own folder."""
+    file = path.parent / placed.shape
+    return replace(placed, shape=str(file)) if file.is_file() else placed
+
+
+# Reading: dictionaries into dataclasses, with the name of the field in every message.
+
+
+def _scene(data: Any) -> Scene:
+    known = _known(Scene, data, "the file")
+    for key, cls in (("shapes", Placed), ("balls", Ball)):
+        if key in known:
+            if not isinstance(known[key], list):
+                raise BadInput(f"{key} must be a list of tables, got {known[key]!r}")
+            known[key] = tuple(_make(cls, entry, f"{key}[{i}]") for i, entry in enumerate(known[key]))
+    if "floor" in known:
+        known["floor"] = _make(Floor, known["floor"], "floor")
+    return Scene(**known)
+
+
+def _make(cls: type, data: Any, where: str) -> Any:
+    known = _known(cls, data, where)
+    try:
+        return cls(**{key: tuple(v) if isinstance(v, list) else v for key, v in known.items()})
+    except BadInput as error:
+        raise BadInput(f"{where}.{error}") from error
+
+
+def _known(cls: type, data: Any, where: str) -> dict[str, Any]:
+    if not isinstance(data, Mapping):
+        raise BadInput(f"{where} must be a table, got {data!r}")
+    names = [f.name for f in fields(cls)]
+    for key in data:
+        if key not in names:
+            raise BadInput(f"{where} has an unknown field {key!r}; it may have {', '.join(names)}")
+    blank = cls.__dataclass_fields__
+    for name in names:
+        if name not in data and _required(blank[name]):
+            raise BadInput(f"{where} lacks the field {name!r}")
+    return dict(data)
+
+
+def _required(field: Any) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _number(record: Any, *names: str) -> None:
+    for name in names:
+        value = getattr(record, name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise BadInput(f"{name} must be a finite number, got {value!r}")
+
+
+def _positive(record: Any, *names: str) -> None:
+    _number(record, *names)
+    for name in names:
+        if not getattr(record, name) > 0:
+            raise BadInput(f"{name} must be positive, got {getattr(record, name)}")
+
+
+def _at_least_zero(record: Any, *names: str) -> None:
+    _number(record, *names)
+    for name in names:
+        if not getattr(record, name) >= 0:
+            raise BadInput(f"{name} must be zero or more, got {getattr(record, name)}")
+
+
+def _whole(record: Any, *names: str) -> None:
+    for name in names:
+        value = getattr(record, name)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise BadInput(f"{name} must be a whole number, zero or more, got {value!r}")
+
+
+def _text(record: Any, *names: str) -> None:
+    for name in names:
+        if not isinstance(getattr(record, name), str) or not getattr(record, name):
+            raise BadInput(f"{name} must be text, got {getattr(record, name)!r}")
+
+
+def _vectors(record: Any, **lengths: int) -> None:
+    for name, length in lengths.items():
+        value = getattr(record, name)
+        good = isinstance(value, tuple | list) and len(value) == length
+        if not good or not all(
+            isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in value
+        ):
+            raise BadInput(f"{name} must be {length} finite numbers, got {value!r}")
+        object.__setattr__(record, name, tuple(float(v) for v in value))
+
+
+# Writing: TOML has no writer in the standard library, and this is all that a scene needs of it.
+
+
+def _toml(data: dict[str, Any]) -> str:
+    plain = {k: v for k, v in data.items() if not isinstance(v, dict) and k not in ("shapes", "balls")}
+    lines = [f"{key} = {_literal(value)}" for key, value in plain.items()]
+    if "floor" in data:
+        lines += ["", "[floor]", *(f"{k} = {_literal(v)}" for k, v in data["floor"].items())]
+    for table in ("shapes", "balls"):
+        for entry in data[table]:
+            lines += ["", f"[[{table}]]", *(f"{k} = {_literal(v)}" for k, v in entry.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_literal(v) for v in value) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
