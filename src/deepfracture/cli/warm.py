@@ -19,7 +19,7 @@ def warm() -> None:
 
     log.info("compiling the kernels (once a machine, about a minute) ...")
     start = time.perf_counter()
-    shape, clay, grid = builtin("bar"), material("earthenware"), Grid(32)
+    shape, clay, grid = builtin("bar"), material("plaster"), Grid(32)
     hit = Impact(
         position=np.array([[0.0, 0.0, 0.2]]), direction=np.array([[0.0, 0.0, -1.0]]), magnitude=np.array([3000.0]),
         normal=np.array([[0.0, 0.0, 1.0]]), speed=15.0, radius=0.2,

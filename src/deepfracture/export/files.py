@@ -28,7 +28,9 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(folder: str | os.PathLike) -> Iterator[Path]:
-    """A temporary folder beside `folder`, moved into its place (a former one is dropped) when the block ends well."""
+    """A temporary folder beside `folder`, moved into its place when the block ends well.
+
+    A former `folder` is dropped with all that is in it."""
     folder = Path(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))

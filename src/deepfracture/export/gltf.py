@@ -160,7 +160,10 @@ class _Builder:
             self.doc.bufferViews.append(view)
             self.blob += data  # every value is 4 bytes wide: the next view stays aligned
             accessor = g.Accessor(
-                bufferView=len(self.doc.bufferViews) - 1, componentType=component, type=kind, count=len(values)
+                bufferView=len(self.doc.bufferViews) - 1,
+                componentType=component,
+                type=kind,
+                count=len(values),
             )
             if bounds:
                 accessor.min = [float(v) for v in rows.min(axis=0)]

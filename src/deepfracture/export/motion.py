@@ -66,7 +66,9 @@ def continuous(quats_wxyz: Floats) -> Floats:
 
 
 def keys(values: NDArray, tolerance: float = KEY_TOL) -> Ints:
-    """Frames to keep so that linear interpolation stays within `tolerance`, shape (k,): runs at rest keep their ends."""
+    """Frames to keep so that linear interpolation stays within `tolerance`, shape (k,).
+
+    Runs at rest keep their ends; one key is enough for a body that never moves."""
     kept = [0]
     for i in range(1, len(values) - 1):
         rest = values[kept[-1]]

@@ -35,11 +35,11 @@ class View(NamedTuple):
     right: Triple
     up: Triple
     back: Triple
-    focal: float
+    focal: np.float32
     """Samples across one unit at distance one."""
-    floor: float
+    floor: np.float32
     """Height of the floor, -FAR without one."""
-    fade: float
+    fade: np.float32
     """Distance from the lights' centre at which the floor has become the backdrop."""
     floor_colour: Triple
     backdrop: Triple
@@ -49,7 +49,7 @@ class Lights(NamedTuple):
     """Key and fill light, and the region in which bodies cast shadows."""
 
     centre: Triple
-    radius: float
+    radius: np.float32
     """Half the region's side [m]."""
     right: Triple
     up: Triple
@@ -57,7 +57,7 @@ class Lights(NamedTuple):
     """Axes of the key light; `toward` leads to it."""
     fill: Triple
     """Towards the fill light."""
-    soft: float
+    soft: np.float32
     """Radius of the key shadow's edge [m]."""
 
 
@@ -80,7 +80,7 @@ class Bodies(NamedTuple):
     patch: NDArray[np.int32]
     """Triangles of one smooth surface share a number, shape (m,)."""
     looks: Floats32
-    """Of each vertex: unit normal (3), linear colour (3), gloss 0..1, share of the sky it sees, shape (n, 8)."""
+    """Of each vertex: unit normal (3), linear colour (3), gloss 0..1, share of the sky seen, shape (n, 8)."""
 
 
 def triple(values: NDArray) -> Triple:
@@ -111,18 +111,29 @@ def encoding() -> NDArray[np.uint8]:
 
 
 def see(
-    vertices: Floats32, faces: NDArray[np.int32], axes: Floats32, origin: Floats32, scale: float, size: tuple[int, int]
+    vertices: Floats32,
+    faces: NDArray[np.int32],
+    axes: Floats32,
+    origin: Floats32,
+    scale: np.float32,
+    size: tuple[int, int],
 ) -> tuple[Floats32, Floats32, NDArray[np.int32]]:
     """Project in perspective and draw: screen x, y and 1/distance (n, 3); depth (h, w); triangle (h, w)."""
     screen = _projected(vertices, axes, origin, scale, size)
-    inverse = np.divide(-1, screen[:, 2:], out=np.full_like(screen[:, 2:], np.nan), where=screen[:, 2:] < -1e-3)
+    back = screen[:, 2:]
+    inverse = np.divide(-1, back, out=np.full_like(back, np.nan), where=back < -1e-3)
     screen[:, :2] *= inverse
     screen[:, 2:] = inverse
     return (screen, *_drawn(screen, faces, size, 0.0))
 
 
 def see_parallel(
-    vertices: Floats32, faces: NDArray[np.int32], axes: Floats32, origin: Floats32, scale: float, size: tuple[int, int]
+    vertices: Floats32,
+    faces: NDArray[np.int32],
+    axes: Floats32,
+    origin: Floats32,
+    scale: np.float32,
+    size: tuple[int, int],
 ) -> Floats32:
     """Depth buffer (h, w) of a parallel projection [m towards the viewer], -inf where nothing is."""
     screen = _projected(vertices, axes, origin, scale, size)
@@ -130,10 +141,10 @@ def see_parallel(
 
 
 def _projected(
-    vertices: Floats32, axes: Floats32, origin: Floats32, scale: float, size: tuple[int, int]
+    vertices: Floats32, axes: Floats32, origin: Floats32, scale: np.float32, size: tuple[int, int]
 ) -> Floats32:
     """Right and down [sample] from the middle of the picture, and depth towards the viewer [m]."""
-    return (vertices - origin) @ (axes * F([[scale], [-scale], [1]])).T
+    return (vertices - origin) @ (axes * np.array([[scale], [-scale], [ONE]])).T
 
 
 def _drawn(
@@ -280,7 +291,7 @@ def _reflected(lights, n, toward, base, shine, key, sky):
 
 @njit(cache=True, fastmath=True)
 def _weights(x, y, a, b, c):
-    """Share of corners a, b, c (screen x, y, 1/distance) in what (x, y) sees, and its distance along the view."""
+    """Shares of corners a, b, c (screen x, y, 1/distance) in what (x, y) sees, and how far that is."""
     xb, yb, xc, yc = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
     x, y, over = x - a[0], y - a[1], ONE / (xb * yc - xc * yb)
     v, w = (x * yc - xc * y) * over, (xb * y - x * yb) * over

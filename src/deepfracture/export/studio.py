@@ -66,7 +66,8 @@ class Studio:
         self.normals = np.concatenate([s.normals for _, s in surfaces])
         stop = np.cumsum([sum(len(s.vertices) for s in prop.surfaces) for prop in props])
         self.parts = [slice(a, b) for a, b in zip([0, *stop[:-1]], stop, strict=True)]
-        self.faces = np.concatenate([s.faces + k for k, (_, s) in zip(first, surfaces, strict=True)]).astype(np.int32)
+        shifted = [s.faces + k for k, (_, s) in zip(first, surfaces, strict=True)]
+        self.faces = np.concatenate(shifted).astype(np.int32)
         faces = [len(s.faces) for _, s in surfaces]
         self.face_body = np.repeat([b for b, _ in surfaces], faces)
         looks = [(*linear(COLOURS[s.look]), GLOSS[s.look]) for _, s in surfaces]
@@ -136,7 +137,7 @@ class Studio:
         floor = np.stack(np.meshgrid(axis, axis, [0.0]), axis=-1).reshape(-1, 3).astype(one) + centre
         floor[:, 2] = centre[2] if self.floor is None else self.floor
         points = np.concatenate([vertices, floor])
-        upward = np.concatenate([normals, np.tile(one([0, 0, 1]), (len(floor), 1))])
+        upward = np.concatenate([normals, np.tile(np.array([0, 0, 1], one), (len(floor), 1))])
         reaches = (SKY_REACHES * radius).astype(one)
         seen = sky_seen(points, upward, sky, centre, radius, reaches, taps(SKY_TAPS))
         right, up, toward = key_axes
@@ -156,7 +157,9 @@ class Studio:
 class RecordingStudio:
     """A recording in the studio: pictures by frame number."""
 
-    def __init__(self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int, taps: int = 16) -> None:
+    def __init__(
+        self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int, taps: int = 16
+    ) -> None:
         self.tracks = [t for t in recording.tracks if t.kind != "floor" and len(t.positions)]
         reach = float(np.linalg.norm(camera.position - camera.target) * np.tan(np.radians(camera.field / 2)))
         self.studio = Studio(

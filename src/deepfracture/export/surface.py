@@ -99,7 +99,8 @@ def _smooth_corners(faces: Ints, normals: Floats, limit: float) -> tuple[Ints, i
     start, end = corner.ravel(), following.ravel()
     flipped = faces.ravel()[start[left]] != faces.ravel()[start[right]]
     first = np.concatenate([start[left], end[left]])
-    second = np.concatenate([np.where(flipped, end[right], start[right]), np.where(flipped, start[right], end[right])])
+    near, far = start[right], end[right]
+    second = np.concatenate([np.where(flipped, far, near), np.where(flipped, near, far)])
     links = coo_matrix((np.ones(len(first), np.int8), (first, second)), (faces.size, faces.size))
     count, group = connected_components(links, directed=False)
     return group.astype(np.int64), int(count)

@@ -192,16 +192,15 @@ def _balance(body: ElasticBody, tractions: Floats) -> tuple[Floats, Floats, Floa
         force = traction * areas
         return np.concatenate([force.sum(axis=0), np.cross(arms, force).sum(axis=0)])
 
-    unit = np.eye(6)
     modes = np.stack(
         [
             np.einsum("nij,nj->ni", inertia_stress(arms, mode[:3], mode[3:], body.poisson), normals)
-            for mode in unit
+            for mode in np.eye(6)
         ]
     )
     load = resultant(tractions)
     amount = np.linalg.solve(np.stack([resultant(mode) for mode in modes], axis=1), load)
-    inertial = np.einsum("m,mni->ni", amount, modes)
+    inertial = np.asarray(np.einsum("m,mni->ni", amount, modes), float)
     left = np.abs(resultant(tractions - inertial)).max()
     scale = (np.abs(tractions) * areas).sum() * max(1.0, np.abs(arms).max())
     assert left <= BALANCE_TOL * scale, f"unbalanced load {left} of {scale}"
@@ -410,7 +409,11 @@ def _weigh(weight, kernel_u, kernel_t):
         for i in range(3):
             u0, u1, u2 = weight * kernel_u[0, k, i], weight * kernel_u[1, k, i], weight * kernel_u[2, k, i]
             mean = (u0 + u1 + u2) / 6
-            kernel_u[0, k, i], kernel_u[1, k, i], kernel_u[2, k, i] = mean + u0 / 2, mean + u1 / 2, mean + u2 / 2
+            kernel_u[0, k, i], kernel_u[1, k, i], kernel_u[2, k, i] = (
+                mean + u0 / 2,
+                mean + u1 / 2,
+                mean + u2 / 2,
+            )
     for b in range(3):
         for k in range(3):
             for i in range(3):

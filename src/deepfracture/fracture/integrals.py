@@ -27,7 +27,9 @@ from deepfracture.types import BadInput, Floats, Mesh
 
 # Contractions and reciprocals may be fused; NaN, infinity and the order of sums keep their meaning.
 FASTMATH = {"contract", "arcp", "nsz", "afn"}
-# Divisions go unchecked (error_model): the kernels test what they divide by.
+# Divisions go unchecked (error_model): the kernels test what they divide by. Inlining spares the arrays'
+# headers, which cost more than the integrals. Callers in other files keep their cached machine code when
+# this file changes: clear __pycache__ then.
 kernel = njit(cache=True, fastmath=FASTMATH, error_model="numpy", forceinline=True)
 parallel_kernel = njit(cache=True, fastmath=FASTMATH, error_model="numpy", parallel=True)
 
@@ -199,9 +201,7 @@ def triangle_integrals(x, y, z, panels, index, on_panel, r, lengths, flux, sprea
         start = s[0] * r[e, 0] + s[1] * r[e, 1] + s[2] * r[e, 2]
         stop = s[0] * r[f, 0] + s[1] * r[f, 1] + s[2] * r[f, 2]
         offset = v[0] * r[e, 0] + v[1] * r[e, 1] + v[2] * r[e, 2]
-        log, rise, along2, along, across = _edge_moments(
-            start, stop, lengths[e], lengths[f], offset, height
-        )
+        log, rise, along2, along, across = _edge_moments(start, stop, lengths[e], lengths[f], offset, height)
         potential += offset * log
         across_sum += offset * across
         _add_edge(e, log, rise, along2, along, across, offset, height, s, v, n, flux, spread, normal, edge)

@@ -108,68 +108,82 @@ def _sources(solution: Solution, gradients: Floats, tractions: Floats, far: floa
     return np.ascontiguousarray(columns.T, dtype=np.float32)
 
 
-# In both kernels e_kl = sym(n a) - sym(b) - sym(∂U t), gathered into sym(n p) + sym(r v) + symmetric rest,
-# where a_k = Σ_ijk ∂_j u_i, b_kl = n_j Σ_ijk ∂_l u_i and the common factor of Kelvin's stress is -1 / (8π(1-ν)).
+# Both kernels take e_kl = sym(n_l a_k) - sym(b_kl) - sym(∂_l U_ki t_i) with a_k = Σ_ijk ∂_j u_i and
+# b_kl = n_j Σ_ijk ∂_l u_i, and 1 / (8π (1 - ν)) as the factor of Kelvin's stress. For a point it collects
+# into sym(n p) + sym(r v) + a multiple of sym(∂u) + a multiple of the unit matrix.
 
 
-@njit(cache=True, fastmath=True, parallel=True)
-def _far_strain(points, sources, poisson, strain):
-    """Add the strain (n, 6) that distant triangles cause; lone float32 lanes, so that it vectorises."""
+@njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
+def _point_strain(
+    r0, r1, r2, n0, n1, n2, g00, g01, g02, g10, g11, g12, g20, g21, g22, t0, t1, t2, limit, trace, poisson
+):
+    """Strain (xx, yy, zz, yz, xz, xy) at distance r of a point source; zero inside its limit."""
     one, half, three, zero = np.float32(1), np.float32(0.5), np.float32(3), np.float32(0)
-    shear = np.float32(1 - 2 * poisson)
-    scale_t = np.float32(1 / (8 * np.pi * (1 - poisson)))
-    scale_u = np.float32((1 + poisson) / (8 * np.pi * (1 - poisson)))
-    cross = np.float32(3 - 4 * poisson) - one
+    scale = one / (np.float32(8 * np.pi) * (one - poisson))
+    square = r0 * r0 + r1 * r1 + r2 * r2
+    cubed = one / (square * np.sqrt(square)) if square > limit else zero
+    over = three / max(square, np.float32(1e-30))
+    w, h = scale * cubed, scale * cubed * (one + poisson)
+    b = w * (one - poisson - poisson)
+    # r.g and g.r, g the displacement gradient
+    rg0, rg1, rg2 = (
+        r0 * g00 + r1 * g10 + r2 * g20,
+        r0 * g01 + r1 * g11 + r2 * g21,
+        r0 * g02 + r1 * g12 + r2 * g22,
+    )
+    gr0, gr1, gr2 = (
+        g00 * r0 + g01 * r1 + g02 * r2,
+        g10 * r0 + g11 * r1 + g12 * r2,
+        g20 * r0 + g21 * r1 + g22 * r2,
+    )
+    slant = n0 * r0 + n1 * r1 + n2 * r2
+    pull = h * (t0 * r0 + t1 * r1 + t2 * r2)
+    q = w * (rg0 * r0 + rg1 * r1 + rg2 * r2) * over - b * trace
+    p0, p1, p2 = -b * gr0 - q * r0, -b * gr1 - q * r1, -b * gr2 - q * r2
+    a, c, d = w * over * slant, h * (three - np.float32(4) * poisson - one), pull * over
+    v0 = a * rg0 - b * (n0 * g00 + n1 * g10 + n2 * g20) + c * t0 + d * r0
+    v1 = a * rg1 - b * (n0 * g01 + n1 * g11 + n2 * g21) + c * t1 + d * r1
+    v2 = a * rg2 - b * (n0 * g02 + n1 * g12 + n2 * g22) + c * t2 + d * r2
+    f = b * slant
+    return (
+        n0 * p0 + r0 * v0 + f * g00 - pull,
+        n1 * p1 + r1 * v1 + f * g11 - pull,
+        n2 * p2 + r2 * v2 + f * g22 - pull,
+        half * (n1 * p2 + n2 * p1 + r1 * v2 + r2 * v1 + f * (g12 + g21)),
+        half * (n0 * p2 + n2 * p0 + r0 * v2 + r2 * v0 + f * (g02 + g20)),
+        half * (n0 * p1 + n1 * p0 + r0 * v1 + r1 * v0 + f * (g01 + g10)),
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _far_strain(points, sources, poisson, strain):
+    """Add the strain (n, 6) that distant triangles cause: float32, and rows of sources, to vectorise."""
     c0, c1, c2, n0, n1, n2 = sources[0], sources[1], sources[2], sources[3], sources[4], sources[5]
     g00, g01, g02, g10, g11, g12 = sources[6], sources[7], sources[8], sources[9], sources[10], sources[11]
     g20, g21, g22, t0, t1, t2 = sources[12], sources[13], sources[14], sources[15], sources[16], sources[17]
     limit, trace = sources[18], sources[19]
+    ratio = np.float32(poisson)
     for point in prange(len(points)):
         x0, x1, x2 = points[point, 0], points[point, 1], points[point, 2]
-        e00 = e11 = e22 = e12 = e02 = e01 = zero
+        xx = yy = zz = yz = xz = xy = np.float32(0)
         for s in range(sources.shape[1]):
-            r0, r1, r2 = c0[s] - x0, c1[s] - x1, c2[s] - x2
-            square = r0 * r0 + r1 * r1 + r2 * r2
-            cubed = one / (square * np.sqrt(square)) if square > limit[s] else zero
-            three_over = three / max(square, np.float32(1e-30))
-            w, h = scale_t * cubed, scale_u * cubed
-            # Row vectors r.g and g.r; n.g
-            rg0 = r0 * g00[s] + r1 * g10[s] + r2 * g20[s]
-            rg1 = r0 * g01[s] + r1 * g11[s] + r2 * g21[s]
-            rg2 = r0 * g02[s] + r1 * g12[s] + r2 * g22[s]
-            gr0 = g00[s] * r0 + g01[s] * r1 + g02[s] * r2
-            gr1 = g10[s] * r0 + g11[s] * r1 + g12[s] * r2
-            gr2 = g20[s] * r0 + g21[s] * r1 + g22[s] * r2
-            ng0 = n0[s] * g00[s] + n1[s] * g10[s] + n2[s] * g20[s]
-            ng1 = n0[s] * g01[s] + n1[s] * g11[s] + n2[s] * g21[s]
-            ng2 = n0[s] * g02[s] + n1[s] * g12[s] + n2[s] * g22[s]
-            slant = n0[s] * r0 + n1[s] * r1 + n2[s] * r2
-            pull = t0[s] * r0 + t1[s] * r1 + t2[s] * r2
-            quadratic = (rg0 * r0 + rg1 * r1 + rg2 * r2) * three_over - shear * trace[s]
-            p0 = -w * (shear * gr0 + quadratic * r0)
-            p1 = -w * (shear * gr1 + quadratic * r1)
-            p2 = -w * (shear * gr2 + quadratic * r2)
-            a = w * three_over * slant
-            b = w * shear
-            c = h * cross
-            d = h * pull * three_over
-            v0 = a * rg0 - b * ng0 + c * t0[s] + d * r0
-            v1 = a * rg1 - b * ng1 + c * t1[s] + d * r1
-            v2 = a * rg2 - b * ng2 + c * t2[s] + d * r2
-            f = b * slant
-            even = h * pull
-            e00 += n0[s] * p0 + r0 * v0 + f * g00[s] - even
-            e11 += n1[s] * p1 + r1 * v1 + f * g11[s] - even
-            e22 += n2[s] * p2 + r2 * v2 + f * g22[s] - even
-            e12 += half * (n1[s] * p2 + n2[s] * p1 + r1 * v2 + r2 * v1 + f * (g12[s] + g21[s]))
-            e02 += half * (n0[s] * p2 + n2[s] * p0 + r0 * v2 + r2 * v0 + f * (g02[s] + g20[s]))
-            e01 += half * (n0[s] * p1 + n1[s] * p0 + r0 * v1 + r1 * v0 + f * (g01[s] + g10[s]))
-        strain[point, 0] += e00
-        strain[point, 1] += e11
-        strain[point, 2] += e22
-        strain[point, 3] += e12
-        strain[point, 4] += e02
-        strain[point, 5] += e01
+            e = _point_strain(
+                c0[s] - x0, c1[s] - x1, c2[s] - x2, n0[s], n1[s], n2[s],
+                g00[s], g01[s], g02[s], g10[s], g11[s], g12[s], g20[s], g21[s], g22[s],
+                t0[s], t1[s], t2[s], limit[s], trace[s], ratio,
+            )  # fmt: skip
+            xx += e[0]
+            yy += e[1]
+            zz += e[2]
+            yz += e[3]
+            xz += e[4]
+            xy += e[5]
+        strain[point, 0] += xx
+        strain[point, 1] += yy
+        strain[point, 2] += zz
+        strain[point, 3] += yz
+        strain[point, 4] += xz
+        strain[point, 5] += xy
 
 
 @parallel_kernel

@@ -68,7 +68,10 @@ def _lights(scene: SceneApi, camera: Camera) -> None:
     scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 175, 160), intensity=1.6)
     for name, toward, intensity in (("/key", KEY_LIGHT, 2.2), ("/fill", FILL_LIGHT, 0.5)):
         scene.add_light_directional(
-            name, intensity=intensity, cast_shadow=name == "/key", position=tuple(camera.target + 10 * toward @ level)
+            name,
+            intensity=intensity,
+            cast_shadow=name == "/key",
+            position=tuple(camera.target + 10 * toward @ level),
         )
 
 

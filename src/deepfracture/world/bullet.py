@@ -69,7 +69,11 @@ class Bullet:
         self._friction = float(np.sqrt(surface.friction))
         self._restitution = float(np.sqrt(surface.restitution))
         self._frames: dict[int, _Frame] = {}
+        self._ids: dict[int, int] = {}
+        """Bullet's number of each body; Bullet gives a number again once its body is gone, we do not."""
+        self._bodies: dict[int, int] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="deepfracture-")
+        self._files = count()
         self._count = count()
 
     def add_body(self, hulls: Sequence[Floats], mass: Mass, motion: Motion) -> int:
@@ -90,17 +94,17 @@ class Bullet:
             0, shape, basePosition=place, useMaximalCoordinates=1, **self._world
         )
         self._looks(floor, friction / self._friction)
-        self._frames[floor] = _CENTRED
-        return floor
+        return self._keep(floor, _CENTRED)
 
     def remove(self, body: int) -> None:
-        del self._frames[body]
-        self._api.removeBody(body, **self._world)
+        del self._frames[body], self._bodies[self._ids[body]]
+        self._api.removeBody(self._ids.pop(body), **self._world)
 
     def move(self, body: int, motion: Motion) -> None:
         place, turn = _to_bullet(motion, self._frames[body])
-        self._api.resetBasePositionAndOrientation(body, place, turn, **self._world)
-        self._api.resetBaseVelocity(body, list(motion.velocity), list(motion.spin), **self._world)
+        held = self._ids[body]
+        self._api.resetBasePositionAndOrientation(held, place, turn, **self._world)
+        self._api.resetBaseVelocity(held, list(motion.velocity), list(motion.spin), **self._world)
 
     def step(self, dt: float) -> None:
         if dt != self._dt:
@@ -110,16 +114,16 @@ class Bullet:
 
     def motion(self, body: int) -> Motion:
         frame = self._frames[body]
-        place, (x, y, z, w) = self._api.getBasePositionAndOrientation(body, **self._world)
-        velocity, spin = self._api.getBaseVelocity(body, **self._world)
+        place, (x, y, z, w) = self._api.getBasePositionAndOrientation(self._ids[body], **self._world)
+        velocity, spin = self._api.getBaseVelocity(self._ids[body], **self._world)
         quat = times(np.array([w, x, y, z]), frame.quat_wxyz * [1, -1, -1, -1])
         origin = np.array(place) - rotation(quat) @ frame.centre
         return Motion(origin, quat, np.array(velocity), np.array(spin))
 
     def contacts(self, body: int, began: Motion) -> list[Contact]:
         found: list[Contact] = []
-        for point in self._api.getContactPoints(bodyA=body, **self._world):
-            first, second = point[1], point[2]
+        for point in self._api.getContactPoints(bodyA=self._ids[body], **self._world):
+            first, second = self._bodies[point[1]], self._bodies[point[2]]
             impulse = point[9] * self._dt  # Bullet reports a force
             if impulse > 0:
                 push = 1.0 if first == body else -1.0  # the normal points from the second to the first
@@ -135,11 +139,11 @@ class Bullet:
     def _add(
         self, shape: int, mass: float, moments: Floats, frame: _Frame, motion: Motion, damping: float
     ) -> int:
-        body = self._api.createMultiBody(mass, shape, useMaximalCoordinates=1, **self._world)
-        self._looks(body, self._friction)
+        held = self._api.createMultiBody(mass, shape, useMaximalCoordinates=1, **self._world)
+        self._looks(held, self._friction)
         # Mass and inertia in one call: Bullet's bodies turn NaN when only the inertia is given.
         self._api.changeDynamics(
-            body,
+            held,
             -1,
             mass=mass,
             localInertiaDiagonal=list(moments),
@@ -147,13 +151,18 @@ class Bullet:
             angularDamping=1 - np.exp(-damping),  # Bullet: the share lost in a second
             **self._world,
         )
-        self._frames[body] = frame
+        body = self._keep(held, frame)
         self.move(body, motion)
         return body
 
-    def _looks(self, body: int, friction: float) -> None:
+    def _keep(self, held: int, frame: _Frame) -> int:
+        body = next(self._count)
+        self._ids[body], self._bodies[held], self._frames[body] = held, body, frame
+        return body
+
+    def _looks(self, held: int, friction: float) -> None:
         self._api.changeDynamics(
-            body, -1, lateralFriction=friction, restitution=self._restitution, **self._world
+            held, -1, lateralFriction=friction, restitution=self._restitution, **self._world
         )
 
     def _shape(self, hulls: list[Floats]) -> int:
@@ -162,7 +171,7 @@ class Bullet:
             return self._api.createCollisionShape(self._api.GEOM_MESH, vertices=points, **self._world)
         # A file with one object a hull is pybullet's only way to a compound of hulls. It is read again when
         # the body is made, so it stays until the engine is closed.
-        path = os.path.join(self._folder.name, f"{next(self._count)}.obj")
+        path = os.path.join(self._folder.name, f"{next(self._files)}.obj")
         with open(path, "w", encoding="ascii") as file:
             file.write(_obj(hulls))
         return self._api.createCollisionShape(self._api.GEOM_MESH, fileName=path, **self._world)

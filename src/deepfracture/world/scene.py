@@ -108,7 +108,7 @@ class Scene:
     """Coulomb coefficient between bodies."""
     restitution: float = 0.2
     """Of every contact."""
-    push: float = 0.5
+    push: float = 0.3
     """Share of a breaking collision's impulse that the shape takes as a whole before it is fragments: 1 the
     fragments start from the velocity after the collision, 0 from the velocity before it, and what struck
     keeps going and pushes the fragments that it meets. Momentum is conserved for every share."""

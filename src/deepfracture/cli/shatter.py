@@ -1,0 +1,185 @@
+"""`shatter`: the main job, from a shape and a ball to an animation, fragments and a report."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepfracture.breakers import make_breaker
+from deepfracture.export import before_hit_after, write_film, write_fragments, write_glb
+from deepfracture.fracture import critical_stress
+from deepfracture.fracture import material as preset
+from deepfracture.geometry import faults, load_shape
+from deepfracture.progress import Stage, collect_stages, log, stage
+from deepfracture.types import BadInput, Breaker, Fragments, Grid, Impact, Material, Shape
+from deepfracture.viewer import write_page
+from deepfracture.world import Outcome, Scene, load_scene, save_scene, throw_scene
+from deepfracture.world import simulate as run_world
+
+if TYPE_CHECKING:
+    from .main import Throw
+
+UPRIGHT = {"z": (1.0, 0.0, 0.0, 0.0), "y": (0.5**0.5, 0.5**0.5, 0.0, 0.0), "x": (0.5**0.5, 0.0, -(0.5**0.5), 0.0)}
+"""Rotation (w, x, y, z) that turns this axis of the file to the world's z."""
+
+
+def shatter(
+    name: str, *, breaker: str, out: Path, material: str, throw: Throw, scene: Path | None, model: Path | None,
+    dataset: Path | None, resolution: int, engine: str, seed: int, repair: bool, film: bool,
+) -> None:  # fmt: skip
+    """Break the shape `name` (or replay `scene`) and write everything into the folder `out`."""
+    with collect_stages() as stages:
+        rng = np.random.default_rng(seed)
+        with stage("load"):
+            if scene is None:
+                shape = load_shape(name, repair=repair)
+                played = _throw(name, shape, throw, material, engine, seed)
+                shapes = [shape]
+            else:
+                played = load_scene(scene)
+                shapes = [load_shape(placed.shape, repair=repair) for placed in played.shapes]
+        with stage("load breakers"):
+            chosen = played.breaker or breaker
+            seam, materials = _breakers(chosen, played, shapes, Grid(resolution), model, dataset)
+        with stage("world, with the break"):
+            outcome = run_world(played, shapes, seam, rng, materials=materials)
+        files = _write(outcome, played, out, stages, film=film)
+    report = _report(outcome, played, materials, chosen, stages, files)
+    path = out / "report.json"
+    _replace(path, json.dumps(report, indent=1) + "\n")
+    log.info("%s", _summary(report, outcome))
+    log.info("%s", "  ".join(str(out / file) for file in [*files, path.name]))
+
+
+def _throw(name: str, shape: Shape, throw: Throw, material: str, engine: str, seed: int) -> Scene:
+    """The scene of a ball thrown at the standing shape."""
+    if throw.up not in UPRIGHT:
+        raise BadInput(f"--up must be x, y or z, got {throw.up!r}")
+    if not throw.speed > 0 or not throw.radius > 0:
+        raise BadInput(f"--speed and --radius must be positive, got {throw.speed} and {throw.radius}")
+    direction = None
+    if throw.heading is not None:
+        azimuth = np.radians(throw.heading)
+        direction = np.array([-np.cos(azimuth), -np.sin(azimuth), -0.15])
+    return throw_scene(
+        name, shape, np.random.default_rng([seed, 1]), material=material, direction=direction, speed=throw.speed,
+        radius=throw.radius, quat_wxyz=UPRIGHT[throw.up], engine=engine, seed=seed,
+    )  # fmt: skip
+
+
+def _breakers(
+    name: str, scene: Scene, shapes: list[Shape], grid: Grid, model: Path | None, dataset: Path | None
+) -> tuple[Breaker, dict[str, Material]]:
+    """One breaker that knows every shape of the scene, and the materials by name."""
+    materials = {placed.material: preset(placed.material) for placed in scene.shapes}
+    known = {
+        id(shape): make_breaker(name, shape, materials[placed.material], grid, model=model, dataset=dataset)
+        for placed, shape in zip(scene.shapes, shapes, strict=True)
+    }
+
+    def breaker(shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
+        return known[id(shape)](shape, impact, rng)
+
+    return breaker, materials
+
+
+def _write(outcome: Outcome, scene: Scene, out: Path, stages: list[Stage], *, film: bool) -> list[str]:
+    """Everything but the report; returns the names of what was written, the page first."""
+    out.mkdir(parents=True, exist_ok=True)
+    recording = outcome.recording
+    jobs: list[tuple[str, Callable[[Path], object]]] = [
+        ("animation.html", lambda path: write_page(recording, path)),
+        ("animation.glb", lambda path: write_glb(recording, path)),
+        ("picture.png", lambda path: before_hit_after(recording, path)),
+        ("scene.toml", lambda path: save_scene(_portable(scene, out), path)),
+    ]
+    if film:
+        jobs.append(("animation.mp4", lambda path: write_film(recording, path)))
+    files = []
+    for file, job in jobs:
+        with stage(f"write {file}"):
+            job(out / file)
+        files.append(file)
+    for number, collision in enumerate(outcome.breaks):
+        folder = "fragments" if len(outcome.breaks) == 1 else f"fragments_{number}"
+        with stage(f"write {folder}"):
+            assert collision.fragments is not None
+            write_fragments(collision.fragments, collision.shape, out / folder)
+        files.append(folder)
+    return files
+
+
+def _portable(scene: Scene, out: Path) -> Scene:
+    """The scene with mesh files named relative to the folder that it is written to."""
+    placed = tuple(
+        replace(p, shape=os.path.relpath(p.shape, out)) if Path(p.shape).is_file() else p for p in scene.shapes
+    )
+    return replace(scene, shapes=placed)
+
+
+def _report(
+    outcome: Outcome, scene: Scene, materials: dict[str, Material], breaker: str, stages: list[Stage], files: list[str]
+) -> dict:
+    """What report.json holds; of several collisions the strongest that broke something, or the strongest."""
+    asked = outcome.breaks or outcome.collisions
+    main = max(asked, key=lambda collision: collision.impact.magnitude[0], default=None)
+    report: dict = {
+        "shape": ", ".join(placed.shape for placed in scene.shapes),
+        "breaker": breaker,
+        "material": ", ".join(materials),
+        "seed": scene.seed,
+        "broke": bool(outcome.breaks),
+        "impulse": None,
+        "sigma_1": None,
+        "strength": None,
+        "fragments": [],
+        "volume_error": None,
+        "stages": [asdict(done) for done in stages],
+        "files": files,
+    }
+    if main is None:
+        return report
+    material = materials[_material_of(scene, main.body, main.shape)]
+    area = float(np.linalg.norm(main.shape.mesh.area_vectors, axis=1).sum())
+    report["impulse"] = float(main.impact.magnitude[0])
+    report["sigma_1"] = critical_stress(main.impact, material, area)
+    report["strength"] = material.strength
+    if main.fragments is not None:
+        cubed = main.shape.scale**3  # volumes in the user's units
+        report["fragments"] = [
+            {"volume": piece.volume * cubed, "mass": piece.mass, "closed": faults(piece.mesh).closed}
+            for piece in main.fragments
+        ]
+        report["volume_error"] = abs(main.fragments.volume / main.shape.mesh.volume - 1)
+    return report
+
+
+def _material_of(scene: Scene, body: str, shape: Shape) -> str:
+    for placed in scene.shapes:
+        if Path(placed.shape).stem == shape.name or placed.shape == shape.name:
+            return placed.material
+    raise AssertionError(f"no shape of the scene is called {body}")
+
+
+def _summary(report: dict, outcome: Outcome) -> str:
+    if report["impulse"] is None:
+        return f"{report['shape']}: nothing touched it"
+    hit = f"impulse {report['impulse']:.0f} N s, sigma_1 {report['sigma_1']:.3g} Pa"
+    if not report["broke"]:
+        return f"{report['shape']}: {hit}: it did not break ({report['material']}, strength {report['strength']:.3g} Pa)"
+    return (
+        f"{report['shape']}: {hit}: {len(report['fragments'])} fragments, volume kept to "
+        f"{report['volume_error']:.1e}, {outcome.recording.duration:.1f} s of animation"
+    )
+
+
+def _replace(path: Path, text: str) -> None:
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)

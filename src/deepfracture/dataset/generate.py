@@ -1,0 +1,162 @@
+"""Throw many balls at a shape and simulate what breaks, on all processors, continuing after a kill."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from deepfracture.dataset.store import (
+    Dataset,
+    Sample,
+    Settings,
+    create,
+    done,
+    open_dataset,
+    write_sample,
+    write_unbroken,
+)
+from deepfracture.progress import track
+from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Shape
+
+THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one collision did."""
+
+    impact: Impact | None
+    """None: the ball missed."""
+    pattern: FracturePattern | None
+    """None: nothing broke."""
+
+
+Collide: TypeAlias = Callable[[np.random.Generator], Outcome]
+"""One random collision, a function of the generator alone."""
+
+
+def simulate_collisions(
+    shape: Shape,
+    material: Material,
+    out: Path | str,
+    *,
+    collisions: int,
+    workers: int,
+    resolution: int,
+    seed: int,
+    speed_range: tuple[float, float],
+    prepare: Callable[[Settings], Collide] | None = None,
+) -> Dataset:
+    """Simulate collisions 0 .. `collisions` - 1 that the folder `out` does not hold yet.
+
+    Collision k depends on (`seed`, k) alone, so the samples are the same, byte for byte, however many
+    workers there are and however often the job was interrupted.
+
+    Args:
+        collisions: Balls thrown in all; those that break nothing are counted and left out.
+        speed_range: Slowest and fastest ball [m/s].
+        prepare: What makes the collision of the settings, once in every worker; by default a ball in
+            the rigid-body world and the fracture simulator.
+
+    Raises:
+        BadInput: A value makes no sense, or `out` was made with other settings.
+    """
+    if collisions < 1 or workers < 1:
+        raise BadInput(f"collisions and workers must be at least 1, got {collisions} and {workers}")
+    slow, fast = speed_range
+    if not 0 < slow <= fast:
+        raise BadInput(f"speed_range must be positive and ascending, got {speed_range}")
+    settings = Settings(shape, material, Grid(resolution).resolution, seed, (float(slow), float(fast)))
+    out = Path(out)
+    create(out, settings)
+    missing = sorted(set(range(collisions)) - done(out))
+    if missing:
+        _run(out, settings, prepare or physical_collisions, missing, min(workers, len(missing)))
+    return open_dataset(out)
+
+
+def physical_collisions(settings: Settings) -> Collide:
+    """A ball from a random side in the rigid-body world (paper, section 4.1), then the fracture simulator."""
+    from deepfracture.fracture import prepare_body, simulate
+    from deepfracture.world import first_impact, learning_scene
+
+    shape, material = settings.shape, settings.material
+    body = prepare_body(shape, material, Grid(settings.resolution))
+
+    def collide(rng: np.random.Generator) -> Outcome:
+        scene = learning_scene(shape.name, shape, rng, material=material.name, speed=settings.speed_range)
+        impact = first_impact(scene, shape, materials={material.name: material})
+        cracking = None if impact is None else simulate(body, impact, rng)
+        return Outcome(impact, None if cracking is None else cracking.pattern)
+
+    return collide
+
+
+def collision_seed(seed: int, k: int) -> int:
+    """The seed of collision `k`: independent streams however close the numbers are."""
+    return int(np.random.SeedSequence([seed, k]).generate_state(1, np.uint64)[0])
+
+
+def _run(
+    out: Path, settings: Settings, prepare: Callable[[Settings], Collide], missing: list[int], workers: int
+) -> None:
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(workers, get_context("spawn"), _start, (out, settings, prepare)) as pool,
+    ):
+        try:
+            futures = [pool.submit(_collide, k) for k in missing]
+            for future in track(as_completed(futures), name="collisions", total=len(futures)):
+                future.result()
+        except BrokenProcessPool as error:
+            raise RuntimeError(
+                f"{out}: a worker died, perhaps for lack of memory; run again to go on"
+            ) from error
+        finally:  # on an error or Ctrl-C drop what has not started; what runs is still stored
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Children read these variables when they start; one thread each is quickest and always sums alike."""
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+_worker: tuple[Path, Settings, Collide] | None = None
+"""State of a worker process, set once when it starts."""
+
+
+def _start(out: Path, settings: Settings, prepare: Callable[[Settings], Collide]) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent: let a collision finish
+    _worker = (out, settings, prepare(settings))
+
+
+def _collide(k: int) -> None:
+    assert _worker is not None
+    out, settings, collide = _worker
+    seed = collision_seed(settings.seed, k)
+    outcome = collide(np.random.default_rng(seed))
+    if outcome.impact is None or outcome.pattern is None:
+        write_unbroken(out, k, outcome.impact, seed)
+    else:
+        write_sample(out, k, Sample(outcome.impact, outcome.pattern, seed))
