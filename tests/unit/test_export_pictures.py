@@ -43,7 +43,7 @@ def test_bodies_are_drawn_where_the_camera_projects_them(recording):
     camera = frame_action(recording, 1.6)
     studio = RecordingStudio(recording, camera, size=(160, 100), samples=2)
     rows, columns = np.nonzero(reddish(studio.picture(0)))
-    seen = on_screen(camera, recording.tracks[1].mesh.vertices + [0, 0, 2], 1.6)
+    seen = on_screen(camera, recording.tracks[1].mesh.moved(1.0, [0, 0, 2]).vertices, 1.6)
     box = np.array([80 * (1 + seen[:, 0]), 50 * (1 - seen[:, 1])])
     assert np.abs([columns.min(), rows.min()] - box.min(axis=1)).max() < 2
     assert np.abs([columns.max(), rows.max()] - box.max(axis=1)).max() < 2

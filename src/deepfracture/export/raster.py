@@ -24,8 +24,8 @@ F = np.float32
 ZERO, ONE = F(0), F(1)
 FAR = F(1e30)
 """Farther than anything: the compiled loops assume that nothing is infinite."""
-RING = 5
-"""First taps of a shadow, near the rim of its disc: when they agree, no edge is near."""
+RING = 0.3
+"""Share of a shadow's taps that come first and lie near the rim of its disc: when they agree, no edge is near."""
 
 
 class View(NamedTuple):
@@ -69,7 +69,7 @@ class Shadows(NamedTuple):
     floor_sky: Floats32
     """Share of the sky that the floor sees, over the region, shape (g, g)."""
     taps: Floats32
-    """Points of the unit disc, shape (k, 2), the first RING of them near its rim."""
+    """Points of the unit disc, shape (k, 2), the first share RING of them near its rim."""
 
 
 class Bodies(NamedTuple):
@@ -90,9 +90,11 @@ def triple(values: NDArray) -> Triple:
 
 def taps(count: int = 16) -> Floats32:
     """Vogel 1979: a sunflower's spiral fills a disc evenly."""
-    k = np.arange(count)
-    radius = np.where(k < RING, 0.95 - 0.05 * k, np.sqrt(np.maximum(k - RING + 0.5, 0) / (count - RING)))
-    angle = np.where(k < RING, 2 * np.pi * k / RING, np.pi * (3 - np.sqrt(5)) * k)
+    k, ring = np.arange(count), int(RING * count)
+    radius = np.where(
+        k < ring, 0.95 - 0.2 * k / ring, np.sqrt(np.maximum(k - ring + 0.5, 0) / (count - ring))
+    )
+    angle = np.where(k < ring, 2 * np.pi * k / ring, np.pi * (3 - np.sqrt(5)) * k)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1).astype(F)
 
 
@@ -193,10 +195,10 @@ def _draw(screen, faces, depth, triangle):
 def _open(depth, table, x, y, z, radius, cosine, sine):
     """Share of the disc of `radius` around texel (x, y) in which nothing is nearer to the light than z."""
     height, width = depth.shape
-    free = 0
+    free, ring = 0, int(RING * len(table))
     for k in range(len(table)):
-        if k == RING and (free == 0 or free == RING):
-            return F(free / RING)
+        if k == ring and (free == 0 or free == ring):
+            return F(free / ring)
         i = int(x + radius * (cosine * table[k, 0] - sine * table[k, 1]))
         j = int(y + radius * (sine * table[k, 0] + cosine * table[k, 1]))
         if i < 0 or j < 0 or i >= width or j >= height or depth[j, i] <= z:

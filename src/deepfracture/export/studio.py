@@ -52,7 +52,7 @@ class Studio:
         samples: int,
         floor: float | None,
         radius: float,
-        taps: int = 16,
+        taps: int = 18,
     ) -> None:
         """size: width, height [pixel]; samples: per pixel and axis; floor: its height [m];
         radius: of the region around the camera's target that casts shadows [m];
@@ -158,7 +158,7 @@ class RecordingStudio:
     """A recording in the studio: pictures by frame number."""
 
     def __init__(
-        self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int, taps: int = 16
+        self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int, taps: int = 18
     ) -> None:
         self.tracks = [t for t in recording.tracks if t.kind != "floor" and len(t.positions)]
         reach = float(np.linalg.norm(camera.position - camera.target) * np.tan(np.radians(camera.field / 2)))

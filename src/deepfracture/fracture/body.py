@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from deepfracture.geometry import remesh, signed_distance_lattice
+from deepfracture.geometry import signed_distance_lattice
 from deepfracture.types import Floats, Floats32, Grid, Ints, Material, Shape
 
-from .elastostatics import ElasticBody, prepare
+from .cache import elastic_body
+from .elastostatics import ElasticBody
 from .lattice import Lattice
 
 ELEMENTS = 1500
@@ -69,7 +70,7 @@ def _local_thickness(sdf, spacing):
 
 def prepare_body(shape: Shape, material: Material, grid: Grid) -> FractureBody:
     """Everything about `shape` that no collision changes; patterns will live on `grid`."""
-    elastic = prepare(remesh(shape.mesh, ELEMENTS), material.poisson)
+    elastic = elastic_body(shape.mesh, material.poisson, ELEMENTS)
     fine = Lattice.fine(grid)
     coarse = fine.coarsened(STRESS_CELLS)
     sdf, rough = (

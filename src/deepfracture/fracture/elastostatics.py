@@ -199,7 +199,7 @@ def _balance(body: ElasticBody, tractions: Floats) -> tuple[Floats, Floats, Floa
         ]
     )
     load = resultant(tractions)
-    amount = np.linalg.solve(np.stack([resultant(mode) for mode in modes], axis=1), load)
+    amount = np.linalg.solve(np.stack([resultant(mode) for mode in modes], axis=1), load).astype(float)
     inertial = np.asarray(np.einsum("m,mni->ni", amount, modes), float)
     left = np.abs(resultant(tractions - inertial)).max()
     scale = (np.abs(tractions) * areas).sum() * max(1.0, np.abs(arms).max())

@@ -145,7 +145,7 @@ def _corner_offsets(x, y, z, corners, index, r, lengths):
 
 @kernel
 def _edge_moments(start, stop, length_start, length_stop, offset, height):
-    """Along an edge, with l the signed distance from the foot of x: ∫ 1/r, ∫ l/r, ∫ l^2/r^3, ∫ l/r^3, ∫ 1/r^3.
+    """∫ 1/r, ∫ l/r, ∫ l^2/r^3, ∫ l/r^3 and ∫ 1/r^3 along an edge, l the distance from the foot of x.
 
     `offset` is the in-plane distance of x to the edge's line, `height` that to the plane."""
     distance2 = offset * offset + height * height
@@ -211,7 +211,7 @@ def triangle_integrals(x, y, z, panels, index, on_panel, r, lengths, flux, sprea
 
 @kernel
 def _close(potential, omega, height, across_sum, n, flux, spread, normal, edge):
-    """Add the parts along the normal, and mirror the upper triangles. `flux` comes without its normal part."""
+    """Add the parts along the normal, and mirror the upper triangles. `flux` comes in tangential."""
     for i in range(3):
         for j in range(i, 3):
             both = n[i] * n[j]

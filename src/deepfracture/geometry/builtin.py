@@ -44,7 +44,17 @@ def _rounded_foot(curve: Floats, radius: float) -> Floats:
 def _pot() -> Mesh:
     """An earthenware vase: flared foot, full belly, narrow neck, rolled lip."""
     outside = spline(
-        [(0.46, 0.0), (0.43, 0.08), (0.52, 0.3), (0.74, 0.68), (0.83, 1.05), (0.72, 1.42), (0.47, 1.7), (0.41, 1.86), (0.52, 2.06)]
+        [
+            (0.46, 0.0),
+            (0.43, 0.08),
+            (0.52, 0.3),
+            (0.74, 0.68),
+            (0.83, 1.05),
+            (0.72, 1.42),
+            (0.47, 1.7),
+            (0.41, 1.86),
+            (0.52, 2.06),
+        ]
     )
     return turned(_vessel(_rounded_foot(outside, 0.04), 0.19, 0.21, 0.14), 0.047)
 
@@ -114,7 +124,11 @@ def _chair() -> Mesh:
     across = np.concatenate([np.linspace(-half, leg - half, 4), np.linspace(leg - half, half - leg, 9)[1:-1]])
     across = np.concatenate([across, np.linspace(half - leg, half, 4)])
     top = 2.0
-    heights = [np.linspace(0, seat, 14), np.linspace(seat, seat + thick, 4), np.linspace(seat + thick, 1.36, 6)]
+    heights = [
+        np.linspace(0, seat, 14),
+        np.linspace(seat, seat + thick, 4),
+        np.linspace(seat + thick, 1.36, 6),
+    ]
     heights += [np.linspace(1.36, 1.66, 6), np.linspace(1.66, top, 7)]
     up = np.unique(np.concatenate(heights))
     feet = [(x, y) for x in (-half, half - leg) for y in (-half, half - leg)]

@@ -5,21 +5,15 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from deepfracture.geometry.collapse import collapse_short
 from deepfracture.geometry.distance import closest
 from deepfracture.geometry.topology import compact, faults, torn_vertices
 from deepfracture.progress import log
-from deepfracture.types import BadInput, Floats, Mesh
+from deepfracture.types import BadInput, Mesh
 
 FINENESS = 8
 """Input vertices a cluster needs so that clusters come out round."""
-
-ATTEMPTS = 10
-"""Clusterings tried, each with smaller clusters where the last one pinched the surface."""
-
-EMPHASIS = 2.5
-"""Growth of the weights there in each attempt."""
 
 
 def remesh(mesh: Mesh, triangles: int) -> Mesh:
@@ -27,7 +21,7 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
 
     Approximated centroidal Voronoi clusters (Valette and Chassery 2004, pyacvd). Sharp edges are
     rounded by up to a triangle's size; the volume is kept by a small offset along the normals.
-    Limbs thinner than a triangle get smaller ones, so there may then be more than asked for.
+    Where limbs are thinner than a triangle, edges are collapsed instead (less even, never torn).
     Raises BadInput when the surface is too thin or wild for so few triangles."""
     if triangles < 20:
         raise BadInput(f"triangles must be 20 or more, got {triangles}")
@@ -38,19 +32,24 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
     # Euler: faces = 2 (vertices - chi).
     wanted = triangles // 2 + euler
     fine = _subdivided(mesh, FINENESS * wanted)
-    size = np.sqrt(_area(mesh) / triangles)
-    weights = np.ones(len(fine.vertices))
-    for attempt in range(ATTEMPTS):
-        result = _clusters(fine, max(10, round(wanted * 1.04**attempt)), weights)
-        bad = torn_vertices(result)
-        if not len(bad) and _euler(result) == euler and faults(result).shells == before.shells:
-            if attempt:
-                log.info("remesh: %d triangles where %d were asked for", len(result.faces), triangles)
-            return _keep_volume(_outward(Mesh(closest(fine, result.vertices).points, result.faces)), mesh)
-        if len(bad):
-            near, _ = cKDTree(result.vertices[bad]).query(fine.vertices)
-            weights[near < 2 * size] *= EMPHASIS
-    raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for more")
+    result = _clusters(fine, max(10, wanted))
+    if len(torn_vertices(result)) or _euler(result) != euler or faults(result).shells != before.shells:
+        # Limbs thinner than a cluster pinch it: coarsen edge by edge instead, which cannot tear.
+        result = _coarsened(fine, triangles)
+        log.info("remesh: thin limbs; %d triangles where %d were asked for", len(result.faces), triangles)
+    return _keep_volume(_outward(Mesh(closest(fine, result.vertices).points, result.faces)), mesh)
+
+
+def _coarsened(mesh: Mesh, triangles: int) -> Mesh:
+    """The mesh with ever longer edges collapsed until it has `triangles` or fewer."""
+    length = np.sqrt(_area(mesh) / triangles * 4 / np.sqrt(3))
+    for share in (0.25, 0.4, 0.55, 0.65, 0.75, 0.85, 1.0, 1.2, 1.4):
+        mesh = collapse_short(mesh, share * length)
+        if len(mesh.faces) <= triangles:
+            return mesh
+    raise BadInput(
+        f"{triangles} triangles are too few to follow this surface; ask for {2 * len(mesh.faces)} or more"
+    )
 
 
 def _area(mesh: Mesh) -> float:
@@ -79,8 +78,8 @@ def _subdivided(mesh: Mesh, vertices: int) -> Mesh:
     return compact(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts, np.int64))
 
 
-def _clusters(mesh: Mesh, count: int, weights: Floats) -> Mesh:
-    """The dual of `count` clusters of vertices, smaller where their weights are large."""
+def _clusters(mesh: Mesh, count: int) -> Mesh:
+    """The dual of `count` clusters of vertices; torn where the mesh is thinner than a cluster."""
     import pyvista
 
     with warnings.catch_warnings():
@@ -89,7 +88,7 @@ def _clusters(mesh: Mesh, count: int, weights: Floats) -> Mesh:
         from pyacvd import Clustering
 
         faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces])
-        clustering = Clustering(pyvista.PolyData(np.array(mesh.vertices), faces.ravel()), weights)
+        clustering = Clustering(pyvista.PolyData(np.array(mesh.vertices), faces.ravel()))
         clustering.cluster(count)
         made = clustering.create_mesh()
     return compact(np.asarray(made.points, float), made.faces.reshape(-1, 4)[:, 1:].astype(np.int64))

@@ -66,7 +66,9 @@ def turned(pieces: Sequence[Floats], length: float) -> Mesh:
 
     pieces: curves (n, 2) of (radius, z) that join end to end from the axis at the bottom, round
     the outside, back to the axis; corners where they join stay sharp. length: edge length."""
-    profile = np.concatenate([sampled(piece, length * np.sqrt(3) / 2)[:-1] for piece in pieces] + [pieces[-1][-1:]])
+    profile = np.concatenate(
+        [sampled(piece, length * np.sqrt(3) / 2)[:-1] for piece in pieces] + [pieces[-1][-1:]]
+    )
     rings: list[Floats] = []
     vertices: list[Floats] = []
     faces: list[tuple[int, int, int]] = []
@@ -75,7 +77,9 @@ def turned(pieces: Sequence[Floats], length: float) -> Mesh:
         count = 1 if radius < 1e-9 else max(6, round(2 * np.pi * radius / length))
         # Every second ring is turned by half a step, so that triangles come out equilateral.
         angles = (np.arange(count) + 0.5 * (n % 2)) * 2 * np.pi / count
-        vertices.append(np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)]))
+        vertices.append(
+            np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)])
+        )
         if n:
             faces += _bridge(rings[-1], angles, start - len(rings[-1]), start)
         rings.append(angles)
@@ -91,7 +95,9 @@ def box(size: ArrayLike, length: float) -> Mesh:
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
         nu, nv = (max(1, round(2 * half[x] / length)) for x in (u, v))
-        gu, gv = np.meshgrid(np.linspace(-half[u], half[u], nu + 1), np.linspace(-half[v], half[v], nv + 1), indexing="ij")
+        gu, gv = np.meshgrid(
+            np.linspace(-half[u], half[u], nu + 1), np.linspace(-half[v], half[v], nv + 1), indexing="ij"
+        )
         index = np.arange(gu.size).reshape(gu.shape)
         a, b, c, d = (x.ravel() for x in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
         sheet = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
@@ -117,7 +123,9 @@ def slab(quads: Sequence[tuple[ArrayLike, int, int]], depth: float, layers: int)
         grid = (1 - v) * ((1 - u) * p[0] + u * p[1]) + v * ((1 - u) * p[3] + u * p[2])
         index = np.arange(grid[..., 0].size).reshape(nu + 1, nv + 1) + start
         points.append(grid.reshape(-1, 2))
-        quadrangles.append(np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4))
+        quadrangles.append(
+            np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
+        )
         start += (nu + 1) * (nv + 1)
     flat = np.concatenate(points)
     flat, same = np.unique(flat.round(9), axis=0, return_inverse=True)
@@ -156,7 +164,9 @@ def blocks(lines: Sequence[ArrayLike], boxes: Sequence[tuple[ArrayLike, ArrayLik
             # The lattice point at a cell's lower corner has the cell's index less the padding.
             at = np.argwhere(change == sign) - 1 + step[axis]
             ring = [at, at + u, at + u + v, at + v]
-            quads.append(np.stack([np.ravel_multi_index(p.T, counts) for p in (ring if sign < 0 else ring[::-1])], 1))
+            quads.append(
+                np.stack([np.ravel_multi_index(p.T, counts) for p in (ring if sign < 0 else ring[::-1])], 1)
+            )
     quad = np.concatenate(quads)
     points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     return compact(points, np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]))
@@ -175,7 +185,8 @@ def tube(path: ArrayLike, across: ArrayLike, thickness: tuple[float, float], len
     count = max(8, round(np.pi * sum(thickness) / 2 / length))
     angle = np.arange(count) * 2 * np.pi / count
     rings = path[:, None] + 0.5 * (
-        thickness[0] * np.cos(angle)[:, None] * inward[:, None] + thickness[1] * np.sin(angle)[:, None] * across
+        thickness[0] * np.cos(angle)[:, None] * inward[:, None]
+        + thickness[1] * np.sin(angle)[:, None] * across
     )
     vertices = np.concatenate([rings.reshape(-1, 3), path[[0, -1]]])
     index = np.arange(len(path) * count).reshape(len(path), count)

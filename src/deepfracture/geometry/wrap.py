@@ -27,21 +27,26 @@ def wrap(mesh: Mesh, name: str) -> tuple[Mesh, float]:
         reach = radius * spacing
         margin = reach + 3 * spacing
         origin = low - margin
-        shape = tuple(int(n) for n in np.ceil((high - low + 2 * margin) / spacing) + 1)
+        nx, ny, nz = (int(n) for n in np.ceil((high - low + 2 * margin) / spacing) + 1)
+        shape = (nx, ny, nz)
         away = distance_lattice(mesh, origin, spacing, shape, limit=margin)
-        outer = isosurface(np.where(_outside(away, reach), away, np.minimum(away, reach)) - reach, origin, spacing)
+        outer = isosurface(
+            np.where(_outside(away, reach), away, np.minimum(away, reach)) - reach, origin, spacing
+        )
         inside = signed_distance_lattice(outer, origin, spacing, shape, limit=margin) - np.float32(reach)
         # A core thicker than the ball: not just the sheets themselves.
         if inside.max() > 2 * spacing:
             return _lightened(isosurface(-inside, origin, spacing), 0.1 * spacing), 2 * reach
-    raise BadInput(f"{name}: open too wide to tell inside from outside, even with --repair; close it in a modeller")
+    raise BadInput(
+        f"{name}: open too wide to tell inside from outside, even with --repair; close it in a modeller"
+    )
 
 
 def _outside(away: Floats32, reach: float) -> np.ndarray:
     """Lattice points farther than `reach` from the surface that connect to the border."""
     from scipy.ndimage import label
 
-    free, _ = label(away > reach)
+    free: np.ndarray = label(away > reach)[0]  # type: ignore[index]
     return free == free[0, 0, 0]
 
 

@@ -61,17 +61,17 @@ def _build(server: ViserServer, recording: Recording) -> list[tuple[Track, Frame
 
 
 def _lights(scene: SceneApi, camera: Camera) -> None:
-    """Three fixed lights of our own: viser's default ones look different on the first and on later rounds."""
+    """Those of the film: viser's own environment map washes the colours out."""
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(hdri=None)
     level = level_axes(camera)
-    scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 175, 160), intensity=1.6)
+    scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 175, 160), intensity=1.4)
     for name, toward, intensity in (("/key", KEY_LIGHT, 2.2), ("/fill", FILL_LIGHT, 0.5)):
         scene.add_light_directional(
             name,
             intensity=intensity,
             cast_shadow=name == "/key",
-            position=tuple(camera.target + 10 * toward @ level),
+            position=tuple(10 * toward @ level),  # it shines towards the origin,
         )
 
 
@@ -84,6 +84,7 @@ def _floor(scene: SceneApi, height: float) -> None:
         color=COLOURS["floor"],
         position=(0.0, 0.0, height),
         cast_shadow=False,
+        receive_shadow=0.3,
     )
 
 

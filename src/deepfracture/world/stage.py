@@ -76,12 +76,12 @@ class Stage:
         """One step of the scene, in as many steps of the engine as fast bodies need.
 
         Collisions come as they happen; what the caller does about one is done before time goes on."""
-        self._enter_balls()
         count = self._substeps(1 / self.scene.steps_per_second)
         dt = 1 / self.scene.steps_per_second / count
         for _ in range(count):
             self.time += dt
             yield from self._substep(dt)
+        self._enter_balls()
 
     def shatter(self, hit: Hit, fragments: Fragments) -> list[Body]:
         """Put the fragments in the place of what broke.

@@ -1,0 +1,90 @@
+"""`info`: a few lines on any file that the program reads or writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from deepfracture.progress import log
+from deepfracture.types import BadInput
+
+
+def info(name: str) -> None:
+    """Say what `name` is: a data set, model, report, scene, mesh file or built-in shape."""
+    path = Path(name)
+    if path.is_dir():
+        lines = _dataset(path)
+    elif path.suffix == ".safetensors":
+        lines = _model(path)
+    elif path.suffix == ".toml":
+        lines = _scene(path)
+    elif path.suffix == ".json":
+        lines = _json(path)
+    else:
+        lines = _shape(name)
+    for line in lines:
+        log.info("%s", line)
+
+
+def _dataset(path: Path) -> list[str]:
+    from deepfracture.dataset import open_dataset
+
+    data = open_dataset(path)
+    counts = [data[i].pattern.count for i in range(len(data))]
+    lines = [
+        f"{path}: data set of {data.shape.name} ({data.material.name})",
+        f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} broke nothing",
+        f"  largest impulse {data.max_impulse:.0f} N s",
+    ]
+    if counts:
+        lines.append(f"  fragments: {min(counts)} to {max(counts)}, median {np.median(counts):.0f}")
+    return lines
+
+
+def _model(path: Path) -> list[str]:
+    from deepfracture.learn import describe_model
+
+    return describe_model(path)
+
+
+def _scene(path: Path) -> list[str]:
+    from deepfracture.world import load_scene
+
+    scene = load_scene(path)
+    things = [f"{placed.shape} of {placed.material}" for placed in scene.shapes]
+    speeds = [float(np.linalg.norm(ball.velocity)) for ball in scene.balls]
+    return [
+        f"{path}: scene with {', '.join(things)}",
+        f"  {len(speeds)} balls at {', '.join(f'{speed:.1f}' for speed in speeds) or 'no'} m/s",
+        f"  gravity {scene.gravity} m/s^2, {'a' if scene.floor else 'no'} floor, up to {scene.duration} s, "
+        f"{scene.engine}, seed {scene.seed}",
+    ]
+
+
+def _json(path: Path) -> list[str]:
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: cannot be read as JSON: {error}") from error
+    if not isinstance(report, dict) or "breaker" not in report:
+        return _scene(path)
+    lines = [f"{path}: report of shatter {report['shape']} --breaker {report['breaker']} --seed {report['seed']}"]
+    lines += [f"  {step['stage']:<28} {step['seconds']:8.3f} s  {step['peak_mb']:6.0f} MB" for step in report["stages"]]
+    lines.append(f"  {len(report['fragments'])} fragments, files: {', '.join(report['files'])}")
+    return lines
+
+
+def _shape(name: str) -> list[str]:
+    from deepfracture.geometry import load_shape
+
+    shape = load_shape(name)
+    low, high = (shape.to_user(corner) for corner in shape.mesh.bounds)
+    return [
+        f"{name}: closed mesh, {len(shape.mesh.vertices)} vertices, {len(shape.mesh.faces)} triangles",
+        f"  box {np.round(low, 6).tolist()} to {np.round(high, 6).tolist()}, "
+        f"volume {shape.mesh.volume * shape.scale**3:.6g}",
+    ]

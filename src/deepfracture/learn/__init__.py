@@ -1,0 +1,53 @@
+"""The generative model: impulse and random code to GS-SDF. Only training needs torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepfracture.learn.metrics import variation_of_information
+from deepfracture.learn.normaliser import Normaliser, normalise_impact
+from deepfracture.learn.prediction import Model, embedded_model, load_model, predict
+from deepfracture.learn.settings import Config
+
+if TYPE_CHECKING:
+    from deepfracture.dataset import Dataset
+    from deepfracture.learn.report import Card
+
+__all__ = [
+    "Config",
+    "Model",
+    "Normaliser",
+    "embedded_model",
+    "load_model",
+    "normalise_impact",
+    "predict",
+    "train",
+    "variation_of_information",
+]
+
+
+def train(
+    dataset: Dataset,
+    out: Path | str,
+    config: Config | None = None,
+    *,
+    epochs: int | None = None,
+    minutes: float | None = None,
+    resume: bool = True,
+    device: str = "auto",
+    seed: int = 0,
+) -> Card:
+    """Train a model on `dataset` in the run folder `out`: see `learn.training.train`."""
+    from deepfracture.learn.training import train as run
+
+    return run(
+        dataset,
+        Path(out),
+        config or Config(),
+        epochs=epochs,
+        minutes=minutes,
+        resume=resume,
+        device=device,
+        seed=seed,
+    )

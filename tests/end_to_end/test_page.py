@@ -1,0 +1,92 @@
+"""The page opens from disk in a browser, without network, and plays."""
+
+import io
+import runpy
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepfracture.viewer import write_page
+
+tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
+FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic
+ --no-first-run --disable-background-networking --disable-component-update --disable-sync""".split()
+PATIENCE = 120_000
+"""Milliseconds: a browser without a graphics card draws seconds a picture on a busy machine."""
+
+
+def start_browser(playwright):
+    for name in ("chromium", "chromium-browser", "google-chrome", "chrome"):
+        found = shutil.which(name)
+        if found:
+            return playwright.chromium.launch(executable_path=found, headless=True, args=FLAGS)
+    pytest.skip("no Chromium on PATH (Debian: apt-get install chromium)")
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory):
+    """The playing page, with what it asked for and what it complained about."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright for Python")
+    file = tmp_path_factory.mktemp("page") / "page.html"
+    write_page(tools["broken_octahedron"](), file)
+    with sync_api.sync_playwright() as playwright:
+        browser = start_browser(playwright)
+        page = browser.new_page(viewport={"width": 400, "height": 300})
+        page.set_default_timeout(PATIENCE)
+        asked, errors = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(file.as_uri())
+        page.wait_for_selector("canvas")
+        yield page, asked, errors
+        browser.close()
+
+
+def clock(page):
+    return page.locator("input").first
+
+
+def picture_at(page, seconds):
+    """The canvas, stopped at a time."""
+    clock(page).fill(f"{seconds}")
+    page.wait_for_timeout(1500)
+    shot = page.screenshot(clip={"x": 0, "y": 0, "width": 400, "height": 250}, timeout=PATIENCE)
+    return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def clay(picture):
+    """Pixels that show a body's original or crack surface."""
+    return picture[..., 0] - picture[..., 2] > 40
+
+
+@pytest.mark.browser
+def test_the_page_plays_by_itself(opened):
+    page, _, _ = opened
+    before = clock(page).input_value()
+    page.wait_for_function(f"document.querySelector('input').value != '{before}'")
+
+
+@pytest.mark.browser
+def test_fragments_move(opened):
+    page, _, _ = opened
+    notice = page.locator(".mantine-Notification-closeButton")
+    if notice.count():  # it says that there is no graphics card, in front of the fragments
+        notice.first.click()
+    whole, early, late = (picture_at(page, seconds) for seconds in (0.2, 0.7, 1.4))
+    columns = [np.flatnonzero(clay(picture).any(axis=0)) for picture in (whole, early, late)]
+    assert all(len(found) > 40 for found in columns)
+    widths = [np.ptp(found) for found in columns]
+    assert widths[0] + 10 < widths[1] < widths[2] - 10  # the halves fly apart
+    there = clay(early) | clay(late)
+    assert (np.abs(early - late).max(axis=-1) > 30)[there].mean() > 0.3
+
+
+@pytest.mark.browser
+def test_the_page_asks_for_nothing_and_complains_of_nothing(opened):
+    page, asked, errors = opened
+    assert errors == []
+    assert asked and all(url.startswith(("file:", "data:", "blob:")) for url in asked)

@@ -1,0 +1,435 @@
+"""The rigid-body world against conservation laws and closed forms, on every engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from deepfracture.geometry import builtin, mass_properties, signed_distance_points
+from deepfracture.types import Fragment, Fragments, Impact, Material, Mesh, Recording, Shape
+from deepfracture.world import (
+    Ball,
+    Floor,
+    Outcome,
+    Placed,
+    Scene,
+    first_impact,
+    learning_scene,
+    simulate,
+    throw_scene,
+)
+from deepfracture.world.engine import Mass, Motion, Surface, open_engine, rotation
+
+ENGINES = [
+    "rapier",
+    pytest.param(
+        "bullet", marks=pytest.mark.skipif(find_spec("pybullet") is None, reason="no pybullet wheel here")
+    ),
+]
+every_engine = pytest.mark.parametrize("engine", ENGINES)
+STONE = {"stone": Material("stone", 5e10, 0.2, 2400.0, 1e7, 1e6, 10.0)}
+Split = tuple[Sequence[float], float]
+
+
+def _pieces(mesh: Mesh, cuts: Sequence[Split]) -> Fragments:
+    """What planes (normal, offset) cut a mesh into."""
+    import manifold3d
+
+    whole = manifold3d.Mesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+    parts = [manifold3d.Manifold(whole)]
+    for normal, offset in cuts:
+        parts = [side for part in parts for side in part.split_by_plane(list(normal), offset)]
+    solids = [solid for part in parts for solid in part.decompose() if solid.volume() > 1e-6]
+    return Fragments(tuple(_fragment(solid) for solid in solids))
+
+
+def _fragment(solid: object) -> Fragment:
+    raw = solid.to_mesh()  # type: ignore[attr-defined]
+    mesh = Mesh(np.asarray(raw.vert_properties, float)[:, :3], np.asarray(raw.tri_verts, np.int64))
+    have = mass_properties(mesh, STONE["stone"].density)
+    return Fragment(mesh, np.full(len(mesh.faces), -1), have.mass, have.centre, have.inertia)
+
+
+def _planes(rng: np.random.Generator, n: int, reach: float = 0.4) -> list[Split]:
+    normals = rng.normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return [(normal.tolist(), float(rng.uniform(-reach, reach))) for normal in normals]
+
+
+def _cutter(cuts: Sequence[Split]) -> Callable[[Shape, Impact, np.random.Generator], Fragments]:
+    return lambda shape, impact, rng: _pieces(shape.mesh, cuts)
+
+
+def _never(shape: Shape, impact: Impact, rng: np.random.Generator) -> None:
+    return None
+
+
+def _mass(shape: Shape) -> Mass:
+    have = mass_properties(shape.mesh, STONE["stone"].density)
+    return Mass(have.mass, have.centre, have.inertia)
+
+
+def _momentum(engine_bodies: Sequence[tuple[Mass, Motion]]) -> tuple[np.ndarray, np.ndarray]:
+    """Linear and angular momentum about the origin."""
+    linear, angular = np.zeros(3), np.zeros(3)
+    for mass, motion in engine_bodies:
+        turn = rotation(motion.quat_wxyz)
+        centre = motion.position + turn @ mass.centre
+        linear += mass.mass * motion.velocity
+        angular += mass.mass * np.cross(centre, motion.velocity)
+        angular += turn @ mass.inertia @ turn.T @ motion.spin
+    return linear, angular
+
+
+def _still(position: Sequence[float] = (0, 0, 0)) -> Motion:
+    return Motion(np.array(position, float), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+
+
+def _run(scene: Scene, shape: Shape, breaker: object = _never, seed: int = 0) -> Outcome:
+    return simulate(scene, [shape], breaker, np.random.default_rng(seed), materials=STONE)  # type: ignore[arg-type]
+
+
+@every_engine
+def test_free_fall(engine: str) -> None:
+    scene = Scene(
+        (Placed("bar", "stone", (0, 0, 5), velocity=(1, 0, 2)),), gravity=9.81, duration=1.0, engine=engine
+    )
+    (track,) = _run(scene, builtin("bar")).recording.tracks
+    t = np.arange(61) / 60
+    exact = np.stack([t, 0 * t, 5 + 2 * t - 9.81 * t**2 / 2], axis=1)
+    # Semi-implicit Euler is behind by g t dt / 2, which is 2 cm at the end.
+    np.testing.assert_allclose(track.positions, exact, atol=9.81 / 240 / 2 * 1.05)
+
+
+@every_engine
+def test_poses_are_of_the_mesh_frame(engine: str) -> None:
+    """A body spins about its centre of mass, wherever the origin of its mesh is."""
+    shape = builtin("mug")  # its centre of mass is off the origin, its inertia has products
+    mass = _mass(shape)
+    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    quat = np.array([0.5, 0.5, -0.5, 0.5])
+    start = Motion(np.array([1.0, 2.0, 3.0]), quat, np.zeros(3), np.array([0.3, 2.0, -1.0]))
+    body = world.add_body([shape.mesh.vertices[::50]], mass, start)
+    first = world.motion(body)
+    np.testing.assert_allclose(first.position, start.position, atol=1e-6)
+    np.testing.assert_allclose(rotation(first.quat_wxyz), rotation(quat), atol=1e-6)
+    for _ in range(240):
+        world.step(1 / 240)
+    last = world.motion(body)
+    world.close()
+    centres = [m.position + rotation(m.quat_wxyz) @ mass.centre for m in (first, last)]
+    np.testing.assert_allclose(centres[1], centres[0], atol=1e-4)
+    assert np.linalg.norm(last.position - first.position) > 0.01
+    before, after = (_momentum([(mass, m)])[1] for m in (first, last))
+    # Every body loses a tenth of its spin a second.
+    assert np.linalg.norm(after * np.exp(0.1) - before) < 0.05 * np.linalg.norm(before)
+
+
+@every_engine
+@pytest.mark.parametrize("name", ["bar", "pot", "squirrel"])
+def test_impulse_is_m_dv_and_momentum_is_conserved(engine: str, name: str) -> None:
+    shape = builtin("bunny") if name == "squirrel" else builtin(name)
+    mass = _mass(shape)
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        scene = learning_scene(name, shape, rng, material="stone", engine=engine)
+        outcome = _run(scene, shape)
+        hit = outcome.collisions[0]
+        ball = scene.balls[0]
+        impulse = (hit.impact.magnitude[:, None] * hit.impact.direction).sum(axis=0)
+        turn = rotation(hit.before.quat_wxyz)
+        gained = mass.mass * (hit.after.velocity - hit.before.velocity)
+        assert np.linalg.norm(turn @ impulse - gained) < 0.05 * np.linalg.norm(gained)
+        # The closed form for a rigid body struck without friction, within what friction can add.
+        normal = turn @ hit.impact.normal[0]
+        arm = turn @ (hit.impact.position[0] - mass.centre)
+        lever = np.cross(arm, normal)
+        inertia = turn @ mass.inertia @ turn.T
+        soft = 1 / ball.mass + 1 / mass.mass + lever @ np.linalg.solve(inertia, lever)
+        closing = -np.array(ball.velocity) @ normal
+        along = -gained @ normal
+        assert along == pytest.approx((1 + scene.restitution) * closing / soft, rel=0.1)
+        assert hit.impact.speed == pytest.approx(closing, rel=0.1)
+        assert hit.impact.radius == ball.radius
+
+
+@every_engine
+def test_engine_impulses_alone_are_m_dv(engine: str) -> None:
+    """What the engine itself reports, before momentum is asked: a ball squarely on a free bar."""
+    shape = builtin("bar")
+    mass = _mass(shape)
+    for speed in (1.0, 8.0, 40.0):
+        world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+        bar = world.add_body([shape.mesh.vertices], mass, _still())
+        flight = replace_velocity(_still((0, -0.45, 0)), (0, speed, 0))
+        ball = world.add_ball(0.2, 100.0, flight)
+        reported = 0.0
+        for _ in range(960):
+            began = world.motion(bar)
+            world.step(1 / 960)
+            reported += sum(c.impulse for c in world.contacts(bar, began) if c.other == ball)
+        gained = mass.mass * world.motion(bar).velocity[1]
+        lost = 100.0 * (speed - world.motion(ball).velocity[1])
+        world.close()
+        exact = 1.2 * speed / (1 / 100 + 1 / mass.mass)
+        assert gained == pytest.approx(exact, rel=0.05)
+        assert reported == pytest.approx(gained, rel=0.05)
+        assert lost == pytest.approx(gained, rel=1e-3)
+
+
+def replace_velocity(motion: Motion, velocity: Sequence[float]) -> Motion:
+    return Motion(motion.position, motion.quat_wxyz, np.array(velocity, float), motion.spin)
+
+
+@every_engine
+def test_impulse_on_the_floor(engine: str) -> None:
+    """A shape that stands: the blow of the ball and the answer of the floor add up to m dv."""
+    shape = builtin("pot")
+    scene = throw_scene(
+        "pot",
+        shape,
+        np.random.default_rng(1),
+        material="stone",
+        direction=np.array([1.0, 0, -0.3]),
+        engine=engine,
+    )
+    outcome = _run(replace(scene, duration=0.5), shape)
+    hit = outcome.collisions[0]
+    assert len(hit.impact.magnitude) > 1
+    impulse = (hit.impact.magnitude[:, None] * hit.impact.direction).sum(axis=0)
+    gained = _mass(shape).mass * (hit.after.velocity - hit.before.velocity)
+    turn = rotation(hit.before.quat_wxyz)
+    assert np.linalg.norm(turn @ impulse - gained) < 0.05 * hit.impact.magnitude.sum()
+    low = hit.impact.position[:, 2] < -0.9
+    assert low.any()
+    assert not low.all()
+    assert (hit.impact.direction[low, 2] > 0.5).all()  # the floor pushes up
+
+
+@every_engine
+def test_impacts_lie_on_the_true_surface(engine: str) -> None:
+    shape = builtin("pot")
+    rng = np.random.default_rng(2)
+    for _ in range(4):
+        scene = learning_scene("pot", shape, rng, material="stone", engine=engine)
+        impact = first_impact(scene, shape, materials=STONE)
+        assert impact is not None
+        assert np.abs(signed_distance_points(shape.mesh, impact.position)).max() < 1e-6
+        assert (np.einsum("ki,ki->k", impact.normal, impact.direction) < -0.3).all()
+        # In the outer normal's direction there is air, against it there is solid.
+        out = signed_distance_points(shape.mesh, impact.position + 0.02 * impact.normal)
+        into = signed_distance_points(shape.mesh, impact.position - 0.02 * impact.normal)
+        assert (out < 0).all()
+        assert (into > 0).all()
+
+
+def test_engines_agree_on_the_first_impact() -> None:
+    pytest.importorskip("pybullet", reason="no pybullet wheel here")
+    shape = builtin("pot")
+    scene = learning_scene("pot", shape, np.random.default_rng(6), material="stone")
+    one, two = (first_impact(scene, shape, materials=STONE, engine=e) for e in ("rapier", "bullet"))
+    assert one is not None
+    assert two is not None
+    assert np.linalg.norm(one.position[0] - two.position[0]) < 0.02
+    assert one.magnitude[0] == pytest.approx(two.magnitude[0], rel=0.03)
+
+
+def test_a_ball_that_misses_hits_nothing() -> None:
+    scene = Scene(
+        (Placed("bar", "stone"),), (Ball(0.1, 7800, (0, -2, 3), (0, 10, 0)),), gravity=0.0, duration=1.0
+    )
+    assert first_impact(scene, builtin("bar"), materials=STONE) is None
+
+
+@every_engine
+@pytest.mark.parametrize("push", [0.0, 0.3, 1.0])
+def test_breaking_conserves_momentum(engine: str, push: float) -> None:
+    shape = builtin("bar")
+    cuts = _planes(np.random.default_rng(1), 4, 0.2)
+    scene = replace(
+        learning_scene("bar", shape, np.random.default_rng(8), material="stone", engine=engine),
+        push=push,
+        duration=0.6,
+    )
+    outcome = _run(scene, shape, _cutter(cuts))
+    (broken,) = outcome.breaks
+    pieces = list(broken.fragments or ())
+    assert len(pieces) > 4
+    ball = scene.balls[0]
+    solid = Mass(ball.mass, np.zeros(3), 0.4 * ball.mass * ball.radius**2 * np.eye(3))
+    thrown = replace_velocity(_still(ball.position), ball.velocity)
+    before = _momentum([(solid, thrown)])[0]
+    # Velocities from the recording's last two frames, of the centres of mass.
+    after = np.zeros(3)
+    for track in outcome.recording.tracks:
+        if track.kind == "shape":
+            continue
+        mass = solid if track.kind == "ball" else _piece_mass(pieces, track.name)
+        ends = [
+            p + rotation(q) @ mass.centre
+            for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)
+        ]
+        after += mass.mass * (ends[1] - ends[0]) / outcome.recording.frame_time
+    assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)
+
+
+def _piece_mass(pieces: list[Fragment], name: str) -> Mass:
+    piece = pieces[int(name.split(".")[1])]
+    return Mass(piece.mass, piece.centre, piece.inertia)
+
+
+@every_engine
+def test_angular_momentum_through_a_collision(engine: str) -> None:
+    shape = builtin("bar")
+    mass = _mass(shape)
+    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    bar = world.add_body([shape.mesh.vertices], mass, _still())
+    solid = Mass(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
+    ball = world.add_ball(0.2, 100.0, replace_velocity(_still((0.6, -0.6, 0.1)), (0, 10, 0)))
+    start = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
+    for _ in range(40):
+        world.step(1 / 960)
+    end = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
+    assert np.linalg.norm(world.motion(bar).spin) > 0.5
+    world.close()
+    assert np.linalg.norm(end[0] - start[0]) < 1e-3 * np.linalg.norm(start[0])
+    assert np.linalg.norm(end[1] - start[1]) < 0.02 * np.linalg.norm(start[1])
+
+
+@every_engine
+@pytest.mark.parametrize("name", ["bar", "pot"])
+def test_fragments_at_rest_stay_at_rest(engine: str, name: str) -> None:
+    """Broken without a push, in zero gravity, nothing flies apart: hulls do not explode by overlap."""
+    shape = builtin(name)
+    pieces = _pieces(shape.mesh, _planes(np.random.default_rng(3), 5, 0.3))
+    assert len(pieces) > 8
+    from deepfracture.world.hulls import piece_hulls
+
+    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    bodies = [
+        world.add_body(hulls.points, Mass(piece.mass, piece.centre, piece.inertia), _still())
+        for piece, hulls in zip(pieces, piece_hulls([p.mesh for p in pieces]), strict=True)
+    ]
+    energy = 0.0
+    for _ in range(120):
+        world.step(1 / 240)
+    for body, piece in zip(bodies, pieces, strict=True):
+        motion = world.motion(body)
+        energy += 0.5 * piece.mass * motion.velocity @ motion.velocity
+        energy += 0.5 * motion.spin @ piece.inertia @ motion.spin
+    world.close()
+    mass = sum(piece.mass for piece in pieces)
+    assert energy < 0.5 * mass * 0.05**2  # as if all moved at 5 cm/s
+
+
+def _lowest(recording: Recording) -> float:
+    """Lowest vertex of any fragment over the last second [m]."""
+    low = np.inf
+    for track in recording.tracks:
+        if track.kind == "fragment":
+            last = zip(track.positions[-60:], track.quats_wxyz[-60:], strict=True)
+            low = min(low, *(float((track.mesh.vertices @ rotation(q)[2] + p[2]).min()) for p, q in last))
+    return low
+
+
+@every_engine
+def test_a_pile_of_fifty_fragments_comes_to_rest_on_the_floor(engine: str) -> None:
+    shape = builtin("base")
+    pieces = _pieces(shape.mesh, _planes(np.random.default_rng(0), 8, 0.5))
+    assert len(pieces) >= 50
+    kept = Fragments(pieces.pieces[:50])
+    scene = Scene(
+        (Placed("base", "stone", (0, 0, 1.2), (0.9659258, 0.258819, 0, 0)),),
+        floor=Floor(),
+        duration=12.0,
+        engine=engine,
+    )
+    outcome = simulate(scene, [shape], lambda *_: kept, np.random.default_rng(0), materials=STONE)
+    recording = outcome.recording
+    assert len(recording.tracks) == 52
+    assert recording.duration < 11.9  # it stopped because everything lay still
+    assert _lowest(recording) > -0.01
+    tracks = [t for t in recording.tracks if t.kind == "fragment"]
+    for track in tracks:
+        assert np.linalg.norm(track.positions[-1] - track.positions[-2]) * 60 < 0.1
+
+
+@every_engine
+def test_standing_and_settling_are_not_collisions(engine: str) -> None:
+    shape = builtin("pot")
+    scene = Scene((Placed("pot", "stone", (0, 0, 1.003)),), floor=Floor(), duration=3.0, engine=engine)
+    outcome = _run(scene, shape)
+    assert outcome.collisions == ()
+    assert outcome.recording.duration < 1.5
+    (track, _) = outcome.recording.tracks
+    assert abs(track.positions[-1][2] - 1.0) < 0.01
+
+
+@every_engine
+def test_same_seed_same_recording(engine: str) -> None:
+    shape = builtin("pot")
+    scene = replace(
+        throw_scene("pot", shape, np.random.default_rng(3), material="stone", engine=engine), duration=0.6
+    )
+    cuts = _planes(np.random.default_rng(5), 4)
+    first, second = (_run(scene, shape, _cutter(cuts)).recording for _ in range(2))
+    assert len(first.tracks) == len(second.tracks) > 6
+    for a, b in zip(first.tracks, second.tracks, strict=True):
+        assert (a.name, a.start) == (b.name, b.start)
+        assert a.positions.tobytes() == b.positions.tobytes()
+        assert a.quats_wxyz.tobytes() == b.quats_wxyz.tobytes()
+
+
+@every_engine
+def test_a_recording_has_every_body_when_it_is_there(engine: str) -> None:
+    shape = replace(builtin("bar"), scale=0.5, centre=np.array([10.0, 0, 0]))
+    scene = Scene(
+        (Placed("bar", "stone", (0, 0, 2), (0.8, 0, 0, 0.6)),),
+        (Ball(0.2, 7800, (0, -1.5, 2.2), (0, 12, 0)), Ball(0.1, 7800, (3, 0, 1), (0, 0, 0), delay=0.5)),
+        floor=Floor(),
+        duration=1.5,
+        engine=engine,
+    )
+    outcome = _run(scene, shape, _cutter(_planes(np.random.default_rng(1), 3, 0.2)))
+    tracks = {track.name: track for track in outcome.recording.tracks}
+    (broken,) = outcome.breaks
+    assert tracks["shape0"].start == 0
+    assert tracks["shape0"].stop == broken.frame + 1
+    pieces = [track for track in tracks.values() if track.kind == "fragment"]
+    assert len(pieces) == len(broken.fragments or ())
+    assert all(track.start == broken.frame + 1 for track in pieces)
+    assert all(track.stop == outcome.recording.frames for track in pieces)
+    assert all(track.source is not None for track in pieces)
+    assert tracks["ball0"].start == 0
+    assert tracks["ball1"].start == 30
+    assert tracks["floor"].stop == outcome.recording.frames
+    # At the start the shape lies where the user's file has it.
+    world = tracks["shape0"].mesh.vertices @ rotation(tracks["shape0"].quats_wxyz[0]).T
+    world = world + tracks["shape0"].positions[0]
+    user = world @ outcome.recording.user_from_world[:3, :3].T + outcome.recording.user_from_world[:3, 3]
+    np.testing.assert_allclose(user, shape.to_user(shape.mesh.vertices), atol=1e-6)
+
+
+@every_engine
+def test_what_did_not_break_may_break_later(engine: str) -> None:
+    """Two balls; only the second blow is strong enough for this breaker."""
+    shape = builtin("bar")
+    cuts = _planes(np.random.default_rng(1), 3, 0.2)
+    scene = Scene(
+        (Placed("bar", "stone"),),
+        (Ball(0.1, 7800, (0, -1, 0), (0, 3, 0)), Ball(0.1, 7800, (0, 2, 0), (0, -20, 0), delay=0.6)),
+        gravity=0.0,
+        duration=1.2,
+        engine=engine,
+    )
+    outcome = _run(
+        scene,
+        shape,
+        lambda shape, impact, rng: _pieces(shape.mesh, cuts) if impact.magnitude[0] > 300 else None,
+    )
+    assert [c.fragments is None for c in outcome.collisions] == [True, False]
+    assert outcome.collisions[0].time < 0.6 < outcome.collisions[1].time
