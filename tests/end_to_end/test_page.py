@@ -12,8 +12,17 @@ from PIL import Image
 from deepfracture.viewer import write_page
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
-FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic
- --no-first-run --disable-background-networking --disable-component-update --disable-sync""".split()
+FLAGS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 PATIENCE = 120_000
 """Milliseconds: a browser without a graphics card draws seconds a picture on a busy machine."""
 
@@ -76,6 +85,7 @@ def test_fragments_move(opened):
     notice = page.locator(".mantine-Notification-closeButton")
     if notice.count():  # it says that there is no graphics card, in front of the fragments
         notice.first.click()
+        notice.first.wait_for(state="detached")
     whole, early, late = (picture_at(page, seconds) for seconds in (0.2, 0.7, 1.4))
     columns = [np.flatnonzero(clay(picture).any(axis=0)) for picture in (whole, early, late)]
     assert all(len(found) > 40 for found in columns)
@@ -87,6 +97,6 @@ def test_fragments_move(opened):
 
 @pytest.mark.browser
 def test_the_page_asks_for_nothing_and_complains_of_nothing(opened):
-    page, asked, errors = opened
+    _, asked, errors = opened
     assert errors == []
     assert asked and all(url.startswith(("file:", "data:", "blob:")) for url in asked)

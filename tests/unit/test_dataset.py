@@ -1,4 +1,4 @@
-"""The folder of simulated collisions: whole, the same whatever happens on the way, and refused when damaged."""
+"""The folder of simulated collisions: whole, the same whatever happens, refused when damaged."""
 
 from __future__ import annotations
 
@@ -52,10 +52,8 @@ def failing_collisions(settings: store.Settings):
 
 
 def run(out: Path, **changes):
-    options = (
-        dict(collisions=8, workers=1, resolution=32, seed=3, speed_range=(1.0, 9.0), prepare=fake_collisions)
-        | changes
-    )
+    options = {"collisions": 8, "workers": 1, "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0)}
+    options = options | {"prepare": fake_collisions} | changes
     return simulate_collisions(TETRAHEDRON, CLAY, out, **options)
 
 

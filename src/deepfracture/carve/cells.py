@@ -50,18 +50,20 @@ def cell_field(mesh: Mesh, pattern: FracturePattern) -> CellField:
     for _ in range(CLEAN_ROUNDS):
         if not _join_diagonals(labels):
             break
-    for _ in range(1):
-        _grow(labels, np.ones_like(body))
+    _grow(labels, _rim(labels))
     return CellField(labels, distance.astype(np.float32), int(labels.max()))
 
 
 def _fill(labels: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Grow labels over the body; a part that no label reaches becomes a label of its own."""
-    while _grow(labels, body):
-        pass
-    left = body & (labels == 0)
-    if left.any():
-        labels = np.where(left, labels.max() + connected_labels(left.astype(np.int32)), labels)
+    empty, before = np.argwhere(body & (labels == 0)), -1
+    while len(empty) != before:
+        before = len(empty)
+        empty = _grow(labels, empty)
+    if len(empty):
+        left = np.zeros(labels.shape, np.int32)
+        left[tuple(empty.T)] = 1
+        labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
     return labels
 
 
@@ -135,75 +137,74 @@ def _mark_enclosed(mark: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def _grow(labels: np.ndarray, where: np.ndarray) -> int:
-    """Label each empty voxel of `where` beside labelled ones as most of its 26 neighbours, near ones
-    counting more. Returns how many voxels were labelled."""
+def _rim(labels: np.ndarray) -> np.ndarray:
+    """The empty voxels among the 26 neighbours of labelled ones, shape (n, 3)."""
     n0, n1, n2 = labels.shape
-    found = np.empty((labels.size, 4), np.int32)
-    count = 0
-    names, votes = np.empty(26, np.int32), np.empty(26)
+    seen = np.zeros(labels.shape, np.bool_)
     for i in range(1, n0 - 1):
         for j in range(1, n1 - 1):
             for k in range(1, n2 - 1):
-                if labels[i, j, k] != 0 or not where[i, j, k]:
+                if labels[i, j, k] == 0:
                     continue
-                used = 0
-                for n in range(27):
-                    x, y, z = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
-                    name = labels[i + x, j + y, k + z]
-                    if name == 0:
-                        continue
-                    vote = 1.0 / (x * x + y * y + z * z)
-                    for u in range(used):
-                        if names[u] == name:
-                            votes[u] += vote
-                            break
-                    else:
-                        names[used], votes[used] = name, vote
-                        used += 1
-                if used:
-                    best = 0
-                    for u in range(1, used):
-                        if votes[u] > votes[best]:
-                            best = u
-                    found[count, 0], found[count, 1], found[count, 2] = i, j, k
-                    found[count, 3] = names[best]
-                    count += 1
-    for c in range(count):
-        labels[found[c, 0], found[c, 1], found[c, 2]] = found[c, 3]
-    return count
+                for x in range(i - 1, i + 2):
+                    for y in range(j - 1, j + 2):
+                        for z in range(k - 1, k + 2):
+                            if labels[x, y, z] == 0:
+                                seen[x, y, z] = True
+    return np.argwhere(seen)
+
+
+@njit(cache=True)
+def _grow(labels: np.ndarray, empty: np.ndarray) -> np.ndarray:
+    """Label each voxel of `empty` (n, 3) beside labelled ones as most of its 26 neighbours, near ones
+    counting more. Returns those that are still empty."""
+    found = np.zeros(len(empty), np.int32)
+    names, votes = np.empty(26, np.int32), np.empty(26)
+    for e in range(len(empty)):
+        used = 0
+        for n in range(27):
+            x, y, z = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
+            name = labels[empty[e, 0] + x, empty[e, 1] + y, empty[e, 2] + z]
+            if name == 0:
+                continue
+            vote = 1.0 / (x * x + y * y + z * z)
+            for u in range(used):
+                if names[u] == name:
+                    votes[u] += vote
+                    break
+            else:
+                names[used], votes[used] = name, vote
+                used += 1
+        if used:
+            found[e] = names[np.argmax(votes[:used])]
+    for e in range(len(empty)):
+        if found[e] != 0:
+            labels[empty[e, 0], empty[e, 1], empty[e, 2]] = found[e]
+    return empty[found == 0]
 
 
 @njit(cache=True)
 def _join_diagonals(labels: np.ndarray) -> int:
     """Where two voxels of a label meet only along an edge, give one of the two between to the label.
 
-    A cell that touches itself along an edge has four faces there. Returns the number of changes."""
+    A cell that touches itself along an edge has four faces there. Changes a contiguous array whose border
+    is empty in place and returns the number of changes."""
     changes = 0
-    size = labels.shape
-    d, e = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    flat = labels.reshape(-1)
+    strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
+    last = flat.size - strides[0] - strides[1]
     for axis in range(3):
-        d[:] = 0
-        e[:] = 0
-        d[(axis + 1) % 3] = 1
-        e[(axis + 2) % 3] = 1
-        for i in range(size[0] - d[0] - e[0]):
-            for j in range(size[1] - d[1] - e[1]):
-                for k in range(size[2] - d[2] - e[2]):
-                    a = labels[i, j, k]
-                    b = labels[i + d[0], j + d[1], k + d[2]]
-                    c = labels[i + e[0], j + e[1], k + e[2]]
-                    f = labels[i + d[0] + e[0], j + d[1] + e[1], k + d[2] + e[2]]
-                    if a == f and a != 0 and b != a and c != a:
-                        if b == 0:
-                            labels[i + d[0], j + d[1], k + d[2]] = a
-                        else:
-                            labels[i + e[0], j + e[1], k + e[2]] = a
-                        changes += 1
-                    elif b == c and b != 0 and a != b and f != b:
-                        if a == 0:
-                            labels[i, j, k] = b
-                        else:
-                            labels[i + d[0] + e[0], j + d[1] + e[1], k + d[2] + e[2]] = b
-                        changes += 1
+        p, q = strides[(axis + 1) % 3], strides[(axis + 2) % 3]
+        for v in range(last):
+            # The four voxels a b / c d of a square across this axis.
+            a, b, c = flat[v], flat[v + p], flat[v + q]
+            if a == b or a == c:
+                continue
+            d = flat[v + p + q]
+            if a == d and a != 0:
+                flat[v + p if b == 0 else v + q] = a
+                changes += 1
+            elif b == c and b != 0 and d != b:
+                flat[v if a == 0 else v + p + q] = b
+                changes += 1
     return changes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
@@ -105,12 +105,12 @@ def _propagate(index: np.ndarray, nearest: np.ndarray) -> None:
                             _offer(index, nearest, i, j, k, nearest[x, y, z])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _disc_distance(
     index: np.ndarray, normals: np.ndarray, nearest: np.ndarray, radius: float, spacing: float, out: np.ndarray
 ) -> None:
     r = nearest.shape[0]
-    for i in prange(r):
+    for i in range(r):
         for j in range(r):
             for k in range(r):
                 p = nearest[i, j, k]
@@ -147,12 +147,12 @@ def voronoi_pattern(sites: ArrayLike, surface_distance: ArrayLike, grid: Grid) -
     return FracturePattern(grid, connected_labels(cells), np.minimum(distance, FAR))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _voronoi(
     sites: np.ndarray, surface: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray
 ) -> None:
     r, n = surface.shape[0], len(sites)
-    for i in prange(r):
+    for i in range(r):
         squared = np.empty(n)
         for j in range(r):
             for k in range(r):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from deepfracture.geometry import mass_properties
 from deepfracture.types import BadInput, Fragment, FracturePattern, Fragments, Grid, Mesh, Shape
 
 if TYPE_CHECKING:
-    from manifold3d import Manifold, Mesh64
+    from manifold3d import Manifold
 
 CRUMB_VOXELS = 4.0
 """A piece below this volume [voxels] that the cut leaves over joins the neighbour it fits best."""
@@ -22,12 +23,23 @@ CRUMB_VOXELS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """One connected piece of the cut body and the crack faces on it."""
+    """One connected piece of the cut body."""
 
     solid: Manifold
-    volume: float
+    mesh: Mesh
+    source: np.ndarray
+    """As `Fragment.source`, shape (m,)."""
     names: np.ndarray
-    """Names of the cells' faces that it shows, sorted, shape (n,)."""
+    """For each face the triangle of the original or the face of the cell that it lies in, shape (m,)."""
+
+    @cached_property
+    def volume(self) -> float:
+        return self.mesh.volume
+
+    @cached_property
+    def cracks(self) -> np.ndarray:
+        """Names of the cells' faces that it shows, sorted."""
+        return np.unique(self.names[self.source < 0])
 
 
 def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
@@ -59,7 +71,7 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
         piece for cell in _cell_solids(cells, pattern.grid) for piece in _pieces(body ^ cell, body_id)
     ]
     pieces = _join_crumbs(pieces, CRUMB_VOXELS * pattern.grid.spacing**3, body_id)
-    return Fragments(tuple(_to_fragment(piece.solid, body_id, density) for piece in pieces))
+    return Fragments(tuple(_fragment(piece.mesh, piece.source, density) for piece in pieces))
 
 
 def _solid(points: np.ndarray, faces: np.ndarray, names: np.ndarray | None = None) -> tuple[Manifold, int]:
@@ -89,17 +101,15 @@ def _cell_solids(cells: Cells, grid: Grid) -> Iterator[Manifold]:
         yield solid
 
 
-def _sources(mesh: Mesh64, body_id: int) -> tuple[np.ndarray, np.ndarray]:
-    """Face names of a mesh and whether each face lies on the body's own surface."""
-    lengths = np.diff(np.asarray(mesh.run_index, np.int64)) // 3
-    own = np.repeat(np.asarray(mesh.run_original_id) == body_id, lengths)
-    return np.asarray(mesh.face_id, np.int64), own
-
-
 def _pieces(solid: Manifold, body_id: int) -> Iterator[_Piece]:
+    """The connected parts of a solid."""
     for part in solid.decompose():
-        names, own = _sources(part.to_mesh64(), body_id)
-        yield _Piece(part, part.volume(), np.unique(names[~own]))
+        out = part.to_mesh64()
+        lengths = np.diff(np.asarray(out.run_index, np.int64)) // 3
+        own = np.repeat(np.asarray(out.run_original_id) == body_id, lengths)
+        names = np.asarray(out.face_id, np.int64)
+        mesh = Mesh(out.vert_properties[:, :3], np.asarray(out.tri_verts, np.int64))
+        yield _Piece(part, mesh, np.where(own, names, -1), names)
 
 
 def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_Piece]:
@@ -109,7 +119,7 @@ def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_P
     kept = sorted(pieces, key=lambda piece: -piece.volume)
     while kept and kept[-1].volume < smallest:
         crumb = kept.pop()
-        shared = [len(np.intersect1d(crumb.names, piece.names, assume_unique=True)) for piece in kept]
+        shared = [len(np.intersect1d(crumb.cracks, piece.cracks, assume_unique=True)) for piece in kept]
         joined = []
         if max(shared, default=0) > 0:
             best = int(np.argmax(shared))
@@ -120,13 +130,6 @@ def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_P
             kept.insert(0, crumb)
             smallest = min(smallest, kept[-1].volume)
     return kept
-
-
-def _to_fragment(solid: Manifold, body_id: int, density: float) -> Fragment:
-    out = solid.to_mesh64()
-    names, own = _sources(out, body_id)
-    mesh = Mesh(out.vert_properties[:, :3], np.asarray(out.tri_verts, np.int64))
-    return _fragment(mesh, np.where(own, names, -1), density)
 
 
 def _fragment(mesh: Mesh, source: np.ndarray, density: float) -> Fragment:

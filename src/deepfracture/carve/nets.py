@@ -7,7 +7,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from deepfracture.carve.cells import CellField
 
@@ -85,7 +85,7 @@ def _number_cubes(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return number, cubes
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _place(
     labels: np.ndarray, distance: np.ndarray, cubes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,7 +93,7 @@ def _place(
     points = np.empty((len(cubes), 3))
     trusted = np.zeros(len(cubes))
     kind = np.zeros(len(cubes), np.int32)
-    for v in prange(len(cubes)):
+    for v in range(len(cubes)):
         base = cubes[v]
         known, cracks, cells = 0, 0, 0
         mean = np.zeros(3)
@@ -132,14 +132,14 @@ def _place(
     return points, trusted, kind
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _links(labels: np.ndarray, number: np.ndarray, cubes: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """The neighbours each vertex relaxes towards, -1 for none, shape (v, 6).
 
     Only inside the sheets between cells: along a face of the cube with as many cells as a sheet (2)
     or a junction line (3) needs. Vertices of the outermost surface and junction points get none."""
     links = np.full((len(cubes), 6), -1, np.int32)
-    for v in prange(len(cubes)):
+    for v in range(len(cubes)):
         need = 2 if kind[v] == 2 else 3
         if kind[v] < 2 or kind[v] > 3:
             continue
@@ -171,12 +171,12 @@ def _links(labels: np.ndarray, number: np.ndarray, cubes: np.ndarray, kind: np.n
     return links
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _relax(
     points: np.ndarray, start: np.ndarray, trusted: np.ndarray, links: np.ndarray, cubes: np.ndarray
 ) -> np.ndarray:
     moved = points.copy()
-    for v in prange(len(points)):
+    for v in range(len(points)):
         count = 0
         x, y, z = 0.0, 0.0, 0.0
         for n in range(6):
@@ -278,14 +278,14 @@ def _face_pairs(filled: int, axis: int, side: int) -> list[tuple[int, int]]:
     return pairs
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _corners(
     labels: np.ndarray, cubes: np.ndarray, quads: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corner ids (4 x shared vertex + pass) and owner of both sides of each quadrilateral."""
     corner = np.empty((len(quads), 2, 4), np.int64)
     owner = np.empty((len(quads), 2), np.int32)
-    for n in prange(len(quads)):
+    for n in range(len(quads)):
         axis = quads[n, 6]
         for side in range(2):
             label = quads[n, 4 + side]

@@ -14,6 +14,7 @@ CAGE = 0.03
 BUCKETS = 1 << 16
 """Levels into which values are sorted: finer than float16 noise, so the order within a level is free."""
 SURE = 10.0
+"""Added to the slope [1, at most 1 in a distance field] towards a voxel that no crack can separate."""
 
 
 def segment(volume: Volume, *, tolerance: float = 0.3, min_voxels: int = 8) -> FracturePattern:

@@ -231,10 +231,8 @@ def _settings(path: Path, manifest: dict[str, Any]) -> Settings:
         raise ValueError("the mesh beside it is another one")
     shape = Shape(about["name"], mesh, about["scale"], about["centre"])
     slow, fast = manifest["speed_range"]
-    return Settings(
-        shape, Material(**manifest["material"]), Grid(manifest["resolution"]).resolution, int(manifest["seed"]),
-        (float(slow), float(fast)),
-    )  # fmt: skip
+    resolution, seed = Grid(manifest["resolution"]).resolution, int(manifest["seed"])
+    return Settings(shape, Material(**manifest["material"]), resolution, seed, (float(slow), float(fast)))
 
 
 def _write_shape(target: Path, mesh: Mesh) -> None:

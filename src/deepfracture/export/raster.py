@@ -25,7 +25,7 @@ ZERO, ONE = F(0), F(1)
 FAR = F(1e30)
 """Farther than anything: the compiled loops assume that nothing is infinite."""
 RING = 0.3
-"""Share of a shadow's taps that come first and lie near the rim of its disc: when they agree, no edge is near."""
+"""Share of a shadow's taps that come first, near the rim of its disc: when they agree, no edge is near."""
 
 
 class View(NamedTuple):

@@ -180,5 +180,5 @@ def builtin(name: str) -> Shape:
     """A built-in shape in its body frame, z up. Raises BadInput for an unknown name."""
     plain = plain_name(name)
     if plain not in _MAKERS:
-        raise BadInput(f"{name}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}")
+        raise BadInput(f"{name!r}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}")
     return normalise(_MAKERS[plain](), plain)

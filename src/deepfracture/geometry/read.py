@@ -8,6 +8,7 @@ import numpy as np
 
 from deepfracture.geometry.builtin import builtin
 from deepfracture.geometry.normalise import normalise
+from deepfracture.geometry.orient import oriented
 from deepfracture.geometry.topology import faults, shell_volumes, shells, split_pinches, weld
 from deepfracture.types import BadInput, Mesh, Shape
 
@@ -71,6 +72,9 @@ def check_solid(mesh: Mesh, name: str) -> Mesh:
 
     Inward shells within the body are cavities. `name` leads the message."""
     found = faults(mesh)
+    if found.flipped and not found.boundary and not found.crowded:
+        mesh = oriented(mesh)
+        found = faults(mesh)
     if not found.closed:
         raise BadInput(f"{name}: {found}; try --repair")
     piece = shells(mesh.faces)
@@ -104,7 +108,7 @@ def load_shape(path_or_name: str, *, repair: bool = False) -> Shape:
     repair: close what is open, join overlapping shells. Raises BadInput in one line."""
     text = str(path_or_name)
     path = Path(text)
-    if not path.suffix and not path.exists():
+    if not text.strip() or (not path.suffix and not path.exists()):
         return builtin(text)
     if not repair:
         return normalise(read_mesh(path), path.stem)

@@ -67,8 +67,7 @@ def _euler(mesh: Mesh) -> int:
 
 def _subdivided(mesh: Mesh, vertices: int) -> Mesh:
     """The same surface with long edges split until there are enough vertices, evenly spread."""
-    from manifold3d import Manifold
-    from manifold3d import Mesh64
+    from manifold3d import Manifold, Mesh64
 
     length = np.sqrt(_area(mesh) / vertices * 2 / np.sqrt(3))  # edge of equilateral triangles, 2 a vertex
     solid = Manifold(Mesh64(np.array(mesh.vertices), np.asarray(mesh.faces, np.uint64)))

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from deepfracture.geometry.distance import closest, winding_lattice
+from deepfracture.geometry.orient import oriented
 from deepfracture.geometry.solids import united
 from deepfracture.geometry.topology import (
     boundary_loops,
     compact,
     faults,
-    neighbours,
     shell_volumes,
     shells,
     split_pinches,
 )
 from deepfracture.geometry.wrap import wrap
-from deepfracture.geometry.distance import closest, winding_lattice
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Ints, Mesh
 
@@ -33,8 +33,11 @@ def repair(mesh: Mesh, name: str) -> Mesh:
     Caps and unions keep the input's triangles; a wrap stays within a hundredth of the longest
     side of the outside, save where it bridges gaps. Raises BadInput when no solid comes out."""
     before = faults(mesh)
+    if before.closed and before.shells == 1 and not _crosses_itself(mesh):
+        log.info("%s: already closed, nothing to repair", name)
+        return split_pinches(mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1]))
     sealed, holes = cap_holes(oriented(split_pinches(mesh)))
-    steps = [f"{holes} holes capped"] if holes else []
+    steps = [f"{holes} hole{'s' * (holes > 1)} capped"] if holes else []
     solid = _united_shells(sealed)
     if solid is None:
         solid, gap = wrap(sealed, name)
@@ -48,35 +51,12 @@ def repair(mesh: Mesh, name: str) -> Mesh:
     log.warning(
         "%s: repaired (%s): %s; result lies %.2g from the input at most, caps included, %.2g on average",
         name,
-        before if str(before) else f"{before.shells} shells",
+        before if str(before) else f"{before.shells} shell{'s' * (before.shells > 1)}",
         ", ".join(steps) or "faces turned outward",
         off.max(),
         off.mean(),
     )
     return split_pinches(solid)
-
-
-def oriented(mesh: Mesh) -> Mesh:
-    """The mesh with neighbouring faces agreeing on their side, as far as the surface has two."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import breadth_first_order
-
-    one, other, agree = neighbours(mesh.faces)
-    count = len(mesh.faces)
-    graph = coo_array((np.where(agree, 1, 2), (one, other)), shape=(count, count)).tocsr()
-    graph = (graph + graph.T).tocsr()
-    flip, seen = np.zeros(count, bool), np.zeros(count, bool)
-    against = set(zip(one[~agree].tolist(), other[~agree].tolist(), strict=True))
-    for first in range(count):
-        if seen[first]:
-            continue
-        order, before = breadth_first_order(graph, first, directed=False)
-        seen[order] = True
-        for face in order[1:].tolist():
-            parent = int(before[face])
-            turned = (parent, face) in against or (face, parent) in against
-            flip[face] = flip[parent] ^ turned
-    return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
 def cap_holes(mesh: Mesh) -> tuple[Mesh, int]:

@@ -152,7 +152,7 @@ def blocks(lines: Sequence[ArrayLike], boxes: Sequence[tuple[ArrayLike, ArrayLik
     middles = np.stack(np.meshgrid(*[(x[1:] + x[:-1]) / 2 for x in lines], indexing="ij"), axis=-1)
     filled = np.zeros(middles.shape[:3], bool)
     for low, high in boxes:
-        filled |= ((middles > low) & (middles < high)).all(axis=-1)
+        filled |= ((middles > np.asarray(low)) & (middles < np.asarray(high))).all(axis=-1)
     filled = np.pad(filled, 1)
     counts = [len(x) for x in lines]
     quads = []

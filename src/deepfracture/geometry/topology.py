@@ -100,7 +100,7 @@ def shell_volumes(mesh: Mesh, piece: Ints) -> NDArray[np.float64]:
     """Signed volume of each shell, shape (shells,)."""
     a, b, c = np.moveaxis(mesh.triangles, 1, 0)
     parts = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
-    return np.bincount(piece, weights=parts, minlength=int(piece.max(initial=-1)) + 1)
+    return np.bincount(piece, weights=parts, minlength=int(piece.max(initial=-1)) + 1).astype(float)
 
 
 def compact(vertices: NDArray, faces: Ints) -> Mesh:
@@ -113,11 +113,11 @@ def weld(vertices: NDArray, faces: Ints) -> Mesh:
     """One vertex a position, without degenerate or doubled faces or unused vertices."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     points, inverse = np.unique(np.asarray(vertices, float), axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(faces, np.int64)]
-    pairs = cKDTree(points).query_pairs(
+    pairs = KDTree(points).query_pairs(
         WELD * float(np.linalg.norm(np.ptp(points, axis=0))), output_type="ndarray"
     )
     if len(pairs):

@@ -106,7 +106,7 @@ def card_text(
             f"memory    {found.bits:.3f} bits between training patterns and their decoded, segmented selves; "
             f"{found.ceiling:.3f} for the exact field (ceiling)",
             "",
-            f"Fragments of {len(rows)} training patterns (off by {100 * found.count_error:.1f} % on average):",
+            f"Fragments of {len(rows)} training patterns (mean error {100 * found.count_error:.1f} %):",
             "   true    exact  decoded",
             *rows,
             "",

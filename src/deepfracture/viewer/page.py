@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..export.camera import Camera, frame_action
+from ..export.camera import frame_action
 from ..export.files import replacing
 from ..export.motion import KEY_TOL, continuous, exists, floor_height
-from ..export.studio import FILL_LIGHT, KEY_LIGHT, level_axes
 from ..export.surface import COLOURS, track_surfaces
 from ..types import Recording, Track
 
@@ -23,7 +22,7 @@ PAGE_RATE = 60
 """Most poses a second that the page holds."""
 PAUSE = 1.5
 """Seconds that the end stands still before the page starts again."""
-FLOOR_WIDTH = 40.0
+FLOOR_WIDTH = 200.0
 """Side of the drawn floor [m]."""
 
 
@@ -45,11 +44,13 @@ def write_page(recording: Recording, path: str | os.PathLike) -> None:
 
 
 def _build(server: ViserServer, recording: Recording) -> list[tuple[Track, FrameHandle]]:
-    """Lights, camera, floor and one frame with its surfaces for each body."""
+    """Camera, floor and one frame with its surfaces for each body.
+
+    The lights are the viewer's own: it goes back to them whenever it starts again, and a change of
+    lights makes it compile its shaders anew."""
     scene = server.scene
     scene.set_up_direction("+z")
     camera = frame_action(recording, 1.6)
-    _lights(scene, camera)
     server.initial_camera.position = tuple(camera.position)
     server.initial_camera.look_at = tuple(camera.target)
     server.initial_camera.fov = float(np.radians(camera.field))
@@ -58,21 +59,6 @@ def _build(server: ViserServer, recording: Recording) -> list[tuple[Track, Frame
         _floor(scene, height)
     tracks = [track for track in recording.tracks if track.kind != "floor" and len(track.positions)]
     return [(track, _body(scene, track, f"/{k:03d}_{track.kind}")) for k, track in enumerate(tracks)]
-
-
-def _lights(scene: SceneApi, camera: Camera) -> None:
-    """Those of the film: viser's own environment map washes the colours out."""
-    scene.configure_default_lights(enabled=False)
-    scene.configure_environment_map(hdri=None)
-    level = level_axes(camera)
-    scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 175, 160), intensity=1.4)
-    for name, toward, intensity in (("/key", KEY_LIGHT, 2.2), ("/fill", FILL_LIGHT, 0.5)):
-        scene.add_light_directional(
-            name,
-            intensity=intensity,
-            cast_shadow=name == "/key",
-            position=tuple(10 * toward @ level),  # it shines towards the origin,
-        )
 
 
 def _floor(scene: SceneApi, height: float) -> None:

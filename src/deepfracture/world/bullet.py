@@ -31,6 +31,10 @@ from deepfracture.world.engine import (
     times,
 )
 
+CONTACT = 0.002
+"""Bodies nearer than this are in contact [m]. Bullet brakes what is about to touch, and what it has braked
+does not bounce any more; with its own 2 cm slow collisions lose their restitution."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
@@ -61,6 +65,7 @@ class Bullet:
             useSplitImpulse=1,
             splitImpulsePenetrationThreshold=0.0,
             restitutionVelocityThreshold=0.1,
+            contactBreakingThreshold=CONTACT,
             deterministicOverlappingPairs=1,
             enableFileCaching=0,
             **self._world,
@@ -105,6 +110,11 @@ class Bullet:
         held = self._ids[body]
         self._api.resetBasePositionAndOrientation(held, place, turn, **self._world)
         self._api.resetBaseVelocity(held, list(motion.velocity), list(motion.spin), **self._world)
+
+    def slow(self, body: int, factor: float) -> None:
+        velocity, spin = self._api.getBaseVelocity(self._ids[body], **self._world)
+        slower = [factor * v for v in velocity], [factor * w for w in spin]
+        self._api.resetBaseVelocity(self._ids[body], *slower, **self._world)
 
     def step(self, dt: float) -> None:
         if dt != self._dt:

@@ -25,11 +25,15 @@ WHOLE_PARTS, WHOLE_EXCESS = 64, 0.05
 """Most parts of a whole shape, and how much hull volume [of the mesh volume] may be air."""
 PIECE_PARTS, PIECE_EXCESS = 8, 0.20
 """The same for a fragment."""
-SHRINK = 0.02
-"""How much nearer to its own centre the hull of a fragment is. Hulls of rough crack surfaces poke into
-their neighbours; without this gap the engine would push the fragments apart as soon as they exist."""
+SHRINK, GAP = 0.02, 0.006
+"""How much nearer to its own centre the hull of a fragment is: this share, but at most `GAP` [m]. Hulls of
+rough crack surfaces poke into their neighbours; without this gap they would push each other apart."""
 DIRECTIONS = 64
-"""A hull keeps its extreme points in this many directions."""
+"""A hull starts from the extreme points in this many directions ..."""
+SAG = 0.002
+"""... and takes in points that stand out further than this [m]: what a fragment may sink into a floor ..."""
+ROUNDS = 3
+"""... in this many rounds at most."""
 LONG = 0.8
 """A part is cut across axes along which it is at least this fraction of its greatest length."""
 CELLS = 48
@@ -65,9 +69,13 @@ def piece_hulls(meshes: Iterable[Mesh]) -> list[Hulls]:
 
 def _piece(mesh: Mesh) -> Hulls:
     hulls = _decompose(_thinned(mesh), PIECE_PARTS, PIECE_EXCESS)
-    centres = [points.mean(axis=0) for points in hulls.points]
-    shrunk = tuple(c + (1 - SHRINK) * (p - c) for p, c in zip(hulls.points, centres, strict=True))
-    return Hulls(shrunk, hulls.excess)
+    return Hulls(tuple(_shrunk(points) for points in hulls.points), hulls.excess)
+
+
+def _shrunk(points: Floats) -> Floats:
+    centre = points.mean(axis=0)
+    reach = np.linalg.norm(points - centre, axis=1).max()
+    return centre + (1 - min(SHRINK, GAP / reach)) * (points - centre)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +104,7 @@ def _decompose(triangles: Floats, most: int, tolerance: float) -> Hulls:
         else:
             parts += halves
     parts += done
-    return Hulls(tuple(part.points for part in parts), sum(part.excess for part in parts) / volume)
+    return Hulls(tuple(_filled(part) for part in parts), sum(part.excess for part in parts) / volume)
 
 
 def _halve(part: _Part) -> list[_Part]:
@@ -132,6 +140,22 @@ def _hull(points: Floats) -> tuple[Floats, float]:
     extreme = points[np.unique(_support(np.ascontiguousarray(points), _sphere(DIRECTIONS)))]
     hull = ConvexHull(np.unique(extreme, axis=0), qhull_options="QJ")  # QJ: flat parts are parts too
     return hull.points[hull.vertices], float(hull.volume)
+
+
+def _filled(part: _Part) -> Floats:
+    """The hull of a part with the points that its few directions have missed."""
+    from scipy.spatial import ConvexHull
+
+    points = part.triangles[part.skin].reshape(-1, 3)
+    corners = part.points
+    for _ in range(ROUNDS):
+        faces = ConvexHull(corners, qhull_options="QJ").equations  # x . n + d <= 0 inside
+        farthest = _support(points, np.ascontiguousarray(faces[:, :3]))
+        over = np.einsum("fi,fi->f", points[farthest], faces[:, :3]) + faces[:, 3] > SAG
+        if not over.any():
+            break
+        corners = np.unique(np.concatenate([corners, points[farthest[over]]]), axis=0)
+    return corners
 
 
 def _sphere(n: int) -> Floats:

@@ -28,7 +28,8 @@ BALL_SPOT = 0.3
 NOISE = 0.01
 """Impulses below this share of the strongest are left out."""
 OUTWARDS = 0.1
-"""The surface is sought from this far outside the contact [m], so that it is the side which was struck."""
+"""The surface is sought from this far outside the contact [m] (or from half the striker's radius, if that is
+less), so that it is the side which was struck."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,7 @@ class Party:
 @dataclass(frozen=True, eq=False)
 class _Blow:
     position: Floats
+    normal: Floats
     impulse: Floats
     closing: float
     radius: float
@@ -75,7 +77,9 @@ def impact_of(
     contact = (np.array([blow.position for blow in blows]) - own.before.position) @ turn
     magnitude = np.linalg.norm(impulse, axis=1)
     direction = impulse / magnitude[:, None]
-    position, normal = _on_surface(mesh, contact, direction)
+    towards = np.array([blow.normal for blow in blows]) @ turn
+    reach = np.minimum(OUTWARDS, 0.5 * np.array([blow.radius for blow in blows]))
+    position, normal = _on_surface(mesh, contact - reach[:, None] * towards)
     speed = max(blows[0].closing, LEAST_CLOSING)
     return Impact(position, direction, magnitude, normal, speed, blows[0].radius)
 
@@ -107,20 +111,21 @@ def _blows(pushes: list[Push], total: Floats, radius: float, spot: float) -> lis
         near = [i for i in left if np.linalg.norm(places[i] - places[left[0]]) < spot]
         left = [i for i in left if i not in near]
         place = weights[near] @ places[near] / weights[near].sum()
+        normal = weights[near] @ normals[near]
         closing = max(pushes[i].closing for i in near)
-        blows.append(_Blow(place, impulses[near].sum(axis=0), closing, radius))
+        impulse = impulses[near].sum(axis=0)
+        blows.append(_Blow(place, normal / np.linalg.norm(normal), impulse, closing, radius))
     return blows
 
 
-def _on_surface(mesh: Mesh, contact: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """The nearest points of the true surface and its outward normals there."""
-    outside = contact - OUTWARDS * direction
+def _on_surface(mesh: Mesh, outside: Floats) -> tuple[Floats, Floats]:
+    """The points of the true surface nearest to `outside`, and its outward normals there.
+
+    From a point outside, the way back from the nearest point of a surface is normal to it: in a triangle
+    that is the triangle's normal, on an edge or corner the one of its many normals that met the blow."""
     found = closest(mesh, outside)
-    area = mesh.area_vectors[found.faces]
-    normal = area / np.linalg.norm(area, axis=1, keepdims=True)
-    # On an edge any direction between its faces is a normal; the one that met the blow is towards `outside`.
     away = outside - found.points
     length = np.linalg.norm(away, axis=1, keepdims=True)
-    edge = (np.einsum("ni,ni->n", normal, direction) > -0.1) & (length[:, 0] > 1e-9)
-    normal = np.where(edge[:, None], away / np.maximum(length, 1e-9), normal)
-    return found.points, normal
+    area = mesh.area_vectors[found.faces]
+    flat = area / np.linalg.norm(area, axis=1, keepdims=True)
+    return found.points, np.where(length > 1e-6, away / np.maximum(length, 1e-6), flat)

@@ -33,6 +33,7 @@ class Rapier:
         self._world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -gravity))
         self._world.set_num_threads(1)  # sums in one order: same seed, same bytes
         self._world.integration_parameters.normalized_max_corrective_velocity = SEPARATION
+        self._world.integration_parameters.contact_recycling = False  # piles shiver with old contacts
         self._friction = float(np.sqrt(surface.friction))
         self._restitution = float(np.sqrt(surface.restitution))
         self._handles: dict[int, Any] = {}
@@ -78,6 +79,11 @@ class Rapier:
         held.position = self._pose(motion)
         held.linvel = tuple(motion.velocity)
         held.angvel = tuple(motion.spin)
+
+    def slow(self, body: int, factor: float) -> None:
+        held = self._body(body)
+        held.linvel = tuple(factor * v for v in held.linvel.to_tuple())
+        held.angvel = tuple(factor * v for v in held.angvel.to_tuple())
 
     def step(self, dt: float) -> None:
         self._world.integration_parameters.dt = dt

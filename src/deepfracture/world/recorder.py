@@ -34,6 +34,8 @@ class Recorder:
     def __init__(self, scene: Scene, reference: Shape) -> None:
         self._scene = scene
         self._reference = reference
+        self.frame_time = 1 / scene.frame_rate
+        """Seconds between frames."""
         self._lines: dict[int, _Line] = {}
         self.frames = 0
         """How many are written down."""
@@ -73,7 +75,7 @@ class Recorder:
             place = np.tile([0.0, 0.0, self._scene.floor.height], (self.frames, 1))
             still = np.tile([1.0, 0.0, 0.0, 0.0], (self.frames, 1))
             tracks.append(Track("floor", "floor", floor_mesh(), None, 0, place, still))
-        return Recording(1 / self._scene.frame_rate, tuple(tracks), self._user_from_world())
+        return Recording(self.frame_time, tuple(tracks), self._user_from_world())
 
     def _user_from_world(self) -> Floats:
         """Where the first shape's file has it, it is at the start."""

@@ -100,8 +100,9 @@ def _run(stage: Stage, breaker: Breaker, rng: np.random.Generator, reference: Sh
                 collisions.append(_ask(stage, recorder, hit, breaker, rng))
         moving = stage.moving()
         recorder.frame(moving)
+        stage.settle(moving, recorder.frame_time)
         rests = not stage.waiting and _at_rest(moving)
-        still = still + 1 / scene.frame_rate if rests else 0.0
+        still = still + recorder.frame_time if rests else 0.0
         if still >= STILL_TIME - 1e-9:
             break
     return Outcome(recorder.recording(), tuple(collisions))

@@ -14,10 +14,16 @@ from deepfracture.world.hulls import piece_hulls, whole_hulls
 from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of
 from deepfracture.world.scene import Ball, Placed, Scene
 
-TRAVEL = 0.25
+TRAVEL = 0.125
 """A ball moves at most this many radii a step, so that it is met at the surface and not behind a wall."""
 SHAPE_TRAVEL = 0.05
 """A falling shape moves at most this far a step [m]."""
+
+DROWSY_SPEED, DROWSY_SPIN = 0.3, 1.0
+"""What is slower [m/s, rad/s], on a floor, is about to come to rest ..."""
+DROWSINESS = 6.0
+"""... and loses its velocities at this rate [1/s], as it would by the crumbling of its edges. Rigid bodies
+would rock and spin on a point for very long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +115,15 @@ class Stage:
             self.bodies[number] = Body(number, name, "fragment", piece.mesh, mass, 1.0)
             added.append(self.bodies[number])
         return added
+
+    def settle(self, moving: list[tuple[Body, Motion]], dt: float) -> None:
+        """Calm down over `dt` what hardly moves, where there is a floor to lie on."""
+        if self.scene.floor is None or self.scene.gravity == 0:
+            return
+        for body, motion in moving:
+            slow = np.linalg.norm(motion.velocity) < DROWSY_SPEED
+            if body.kind != "ball" and slow and np.linalg.norm(motion.spin) < DROWSY_SPIN:
+                self.engine.slow(body.number, float(np.exp(-DROWSINESS * dt)))
 
     def remove(self, body: Body) -> None:
         del self.bodies[body.number]
