@@ -89,7 +89,7 @@ def test_fragments_move(opened):
     whole, early, late = (picture_at(page, seconds) for seconds in (0.2, 0.7, 1.4))
     columns = [np.flatnonzero(clay(picture).any(axis=0)) for picture in (whole, early, late)]
     assert all(len(found) > 40 for found in columns)
-    widths = [np.ptp(found) for found in columns]
+    widths = [int(np.ptp(found)) for found in columns]
     assert widths[0] + 10 < widths[1] < widths[2] - 10  # the halves fly apart
     there = clay(early) | clay(late)
     assert (np.abs(early - late).max(axis=-1) > 30)[there].mean() > 0.3

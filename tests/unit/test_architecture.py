@@ -19,7 +19,6 @@ ARROWS = {
     "learn": {"geometry", "carve", "dataset"},
     "breakers": {"geometry", "fracture", "carve", "dataset", "learn"},
     "viewer": {"world", "export"},
-    "evaluate": {"breakers", "dataset", "world", "learn"},
 }
 HEAVY = {
     "torch": {"learn"},

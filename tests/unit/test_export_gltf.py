@@ -9,6 +9,7 @@ import pytest
 
 from deepfracture.export import write_glb
 from deepfracture.export.motion import pose
+from deepfracture.types import Recording, Track
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
 DTYPES = {5126: np.float32, 5125: np.uint32}
@@ -147,6 +148,13 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path):
     for name in "ab":
         write_glb(tools["broken_octahedron"](), tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_body_that_never_existed_is_left_out(recording, tmp_path):
+    none = Track("gone", "shape", recording.tracks[1].mesh, None, 0, np.zeros((0, 3)), np.zeros((0, 4)))
+    write_glb(Recording(recording.frame_time, (none, *recording.tracks)), tmp_path / "a.glb")
+    write_glb(recording, tmp_path / "b.glb")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
 
 
 def test_other_readers_open_it(recording, tmp_path):

@@ -11,6 +11,7 @@ from deepfracture.export import before_hit_after, exploded, write_film
 from deepfracture.export.camera import frame_action, frame_points
 from deepfracture.export.film import film_frames
 from deepfracture.export.studio import RecordingStudio
+from deepfracture.types import Recording
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
 
@@ -94,3 +95,12 @@ def test_stills(recording, tmp_path):
     strip = np.array(Image.open(tmp_path / "strip.png"))
     assert strip.shape == (48, 3 * 64 + 2 * 6, 3)
     assert not (strip[:, :64] == strip[:, -64:]).all()
+
+
+def test_a_recording_without_floor_or_break(recording, tmp_path):
+    whole = Recording(recording.frame_time, recording.tracks[1:2])
+    before_hit_after(whole, tmp_path / "strip.png", size=(64, 48))
+    strip = np.array(Image.open(tmp_path / "strip.png"))
+    assert reddish(strip[:, :64]).sum() > 300
+    plain = (strip[:, :64] == strip[0, 0]).all(axis=-1)
+    assert (plain | reddish(strip[:, :64])).mean() > 0.95  # no floor, no shadow: the rest are edges

@@ -198,7 +198,7 @@ def _join_diagonals(labels: np.ndarray) -> int:
         for v in range(last):
             # The four voxels a b / c d of a square across this axis.
             a, b, c = flat[v], flat[v + p], flat[v + q]
-            if a == b or a == c:
+            if a in (b, c):
                 continue
             d = flat[v + p + q]
             if a == d and a != 0:

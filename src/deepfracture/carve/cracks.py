@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from deepfracture.carve.parts import connected_labels
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid
@@ -55,7 +55,7 @@ def _spacing(points: np.ndarray) -> float:
     if len(points) == 1:
         return 0.0
     some = points[:: max(1, len(points) // SPACING_SAMPLE)]
-    nearest, _ = cKDTree(points).query(some, k=2)
+    nearest, _ = KDTree(points).query(some, k=2)
     return 2 * float(np.median(nearest[:, 1]))
 
 
@@ -107,7 +107,12 @@ def _propagate(index: np.ndarray, nearest: np.ndarray) -> None:
 
 @njit(cache=True)
 def _disc_distance(
-    index: np.ndarray, normals: np.ndarray, nearest: np.ndarray, radius: float, spacing: float, out: np.ndarray
+    index: np.ndarray,
+    normals: np.ndarray,
+    nearest: np.ndarray,
+    radius: float,
+    spacing: float,
+    out: np.ndarray,
 ) -> None:
     r = nearest.shape[0]
     for i in range(r):

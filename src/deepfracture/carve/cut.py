@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.carve.cells import MARGIN, cell_field
-from deepfracture.carve.nets import Cells, surface_nets
+from deepfracture.carve.cells import MARGIN, CellField, cell_field
+from deepfracture.carve.nets import REACH, Cells, surface_nets
 from deepfracture.geometry import mass_properties
-from deepfracture.types import BadInput, Fragment, FracturePattern, Fragments, Grid, Mesh, Shape
+from deepfracture.progress import log
+from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Grid, Mesh, Shape
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
 CRUMB_VOXELS = 4.0
 """A piece below this volume [voxels] that the cut leaves over joins the neighbour it fits best."""
+REACHES = (REACH, 0.25, 0.0)
+"""How far crack vertices may move to be smooth [voxels]: the next when the cells of one overlap."""
+VOLUME_TOL = 1e-9
+"""Relative error of the pieces' volumes above which cells overlap: rounding leaves 1e-13."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +71,26 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
     field = cell_field(shape.mesh, pattern)
     if field.count < 2:
         return Fragments((_fragment(shape.mesh, np.arange(len(shape.mesh.faces)), density),))
-    cells = surface_nets(field)
-    pieces = [
-        piece for cell in _cell_solids(cells, pattern.grid) for piece in _pieces(body ^ cell, body_id)
-    ]
+    pieces = _split(body, body_id, field, pattern.grid)
     pieces = _join_crumbs(pieces, CRUMB_VOXELS * pattern.grid.spacing**3, body_id)
     return Fragments(tuple(_fragment(piece.mesh, piece.source, density) for piece in pieces))
+
+
+def _split(body: Manifold, body_id: int, field: CellField, grid: Grid) -> list[_Piece]:
+    """All pieces of a body in the cells of a field.
+
+    Smooth cells fill space without overlap unless labels change from voxel to voxel (noise): there
+    relaxed surfaces may cross, the volumes no longer add up, and the cells are made again stiffer, in
+    the end as the bare voxels, which always fit."""
+    pieces: list[_Piece] = []
+    for reach in REACHES:
+        cells = surface_nets(field, reach=reach)
+        pieces = [piece for cell in _cell_solids(cells, grid) for piece in _pieces(body ^ cell, body_id)]
+        lost = abs(sum(piece.volume for piece in pieces) / body.volume() - 1)
+        if lost < VOLUME_TOL and all(piece.volume > 0 for piece in pieces):
+            break
+        log.info("cells of reach %.2g voxels overlap: volume is off by %.1e", reach, lost)
+    return pieces
 
 
 def _solid(points: np.ndarray, faces: np.ndarray, names: np.ndarray | None = None) -> tuple[Manifold, int]:

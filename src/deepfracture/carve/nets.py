@@ -15,7 +15,7 @@ SMOOTHING_STEPS = 12
 TRUST = 0.5
 """Pull of a vertex towards the crack crossings around it, against that of its neighbours."""
 REACH = 0.49
-"""A vertex stays in its own cube: it moves at most this many voxels from the centre along each axis."""
+"""A vertex stays in its own cube: it moves at most this many voxels from the middle along each axis."""
 EDGE = 0.05
 """Crossings keep this fraction of a grid edge away from its ends."""
 
@@ -38,23 +38,31 @@ class Cells:
     """First face of each cell, shape (n + 1,)."""
 
 
-def surface_nets(field: CellField) -> Cells:
+def surface_nets(field: CellField, *, reach: float = REACH) -> Cells:
     """Closed surfaces of all cells of a field.
 
     A vertex stands in every cube of eight voxel centres with more than one label, a quadrilateral
     across every grid edge between two labels (Gibson 1998). Vertices start at the mean of the cracks'
     crossings of the cube's edges, then relax along the sheet (along junction lines where three cells
     meet) without leaving their cube. A cell passing twice through a cube gets two vertices there at one
-    place, so that each cell's surface is a closed 2-manifold whatever the labels.
+    place, the middle, so that each cell's surface is a closed 2-manifold whatever the labels.
+
+    Args:
+        field: Labelled voxels.
+        reach: How far a vertex may move from the middle of its cube along each axis [voxels], below 0.5.
+            At 0 surfaces are voxel stairs, which never cross; the more, the smoother.
     """
     number, cubes = _number_cubes(field.labels)
+    cycles = _cycle_table()
+    middle = cubes + 0.5
     points, trusted, kind = _place(field.labels, field.distance, cubes)
     links = _links(field.labels, number, cubes, kind)
-    start = points.copy()
+    pinched = _pinched(field.labels, cubes, cycles)
+    points[pinched], links[pinched] = middle[pinched], -1
+    points = start = np.clip(points, middle - reach, middle + reach)
     for _ in range(SMOOTHING_STEPS):
-        points = _relax(points, start, trusted, links, cubes)
+        points = _relax(points, start, trusted, links, middle, reach)
     quads = _quads(field.labels, number)
-    cycles = _cycle_table()
     corner, owner = _corners(field.labels, cubes, quads, cycles)
     return Cells(points, *_assemble(points, quads, corner, owner, field.count))
 
@@ -125,8 +133,7 @@ def _place(
                     mean[2] += n & 1
                     mean[axis] += min(max(da / (da + db), EDGE), 1 - EDGE)
         for a in range(3):
-            inside = min(max(mean[a] / known, 0.5 - REACH), 0.5 + REACH) if known else 0.5
-            points[v, a] = base[a] + inside
+            points[v, a] = base[a] + (mean[a] / known if known else 0.5)
         trusted[v] = known / cracks if cracks else 0.0
         kind[v] = cells
     return points, trusted, kind
@@ -173,8 +180,14 @@ def _links(labels: np.ndarray, number: np.ndarray, cubes: np.ndarray, kind: np.n
 
 @njit(cache=True)
 def _relax(
-    points: np.ndarray, start: np.ndarray, trusted: np.ndarray, links: np.ndarray, cubes: np.ndarray
+    points: np.ndarray,
+    start: np.ndarray,
+    trusted: np.ndarray,
+    links: np.ndarray,
+    middle: np.ndarray,
+    reach: float,
 ) -> np.ndarray:
+    """One step of every vertex towards its neighbours' mean and its own start."""
     moved = points.copy()
     for v in range(len(points)):
         count = 0
@@ -193,8 +206,7 @@ def _relax(
             mean = (x if a == 0 else y if a == 1 else z) / count
             goal = pull * start[v, a] + (1 - pull) * mean
             goal = 0.5 * (points[v, a] + goal)
-            centre = cubes[v, a] + 0.5
-            moved[v, a] = min(max(goal, centre - REACH), centre + REACH)
+            moved[v, a] = min(max(goal, middle[v, a] - reach), middle[v, a] + reach)
     return moved
 
 
@@ -294,16 +306,52 @@ def _corners(
                 continue
             for c in range(4):
                 v = quads[n, c]
-                filled = 0
-                for m in range(8):
-                    x, y, z = cubes[v, 0] + (m >> 2), cubes[v, 1] + (m >> 1 & 1), cubes[v, 2] + (m & 1)
-                    if labels[x, y, z] == label:
-                        filled |= 1 << m
+                filled = _filled(labels, cubes[v], label)
                 # The cube that lies lower along an axis sees the edge at its upper end, and so on.
                 low_p, low_q = c == 0 or c == 3, c < 2
                 edge = 4 * axis + 2 * low_p + low_q
                 corner[n, side, c] = 4 * v + cycles[filled, edge]
     return corner, owner
+
+
+@njit(cache=True)
+def _diagonal(points: np.ndarray, quad: np.ndarray) -> int:
+    """0 to split a quadrilateral from its first corner, 1 from its second.
+
+    The shorter diagonal; but seen along the grid edge that it crosses, a quadrilateral with a reflex
+    corner must be split there, or one half would be folded over."""
+    p, q = (quad[6] + 1) % 3, (quad[6] + 2) % 3
+    for n in range(4):
+        a, b, c = points[quad[n - 1]], points[quad[n]], points[quad[(n + 1) % 4]]
+        if (b[p] - a[p]) * (c[q] - b[q]) - (b[q] - a[q]) * (c[p] - b[p]) <= 0:
+            return n % 2
+    first = ((points[quad[0]] - points[quad[2]]) ** 2).sum()
+    return int(first > ((points[quad[1]] - points[quad[3]]) ** 2).sum())
+
+
+@njit(cache=True)
+def _pinched(labels: np.ndarray, cubes: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Whether some cell passes twice through each cube."""
+    pinched = np.zeros(len(cubes), np.bool_)
+    for v in range(len(cubes)):
+        for n in range(8):
+            filled = _filled(
+                labels,
+                cubes[v],
+                labels[cubes[v, 0] + (n >> 2), cubes[v, 1] + (n >> 1 & 1), cubes[v, 2] + (n & 1)],
+            )
+            pinched[v] = pinched[v] or cycles[filled].max() > 0
+    return pinched
+
+
+@njit(cache=True, inline="always")
+def _filled(labels: np.ndarray, cube: np.ndarray, label: int) -> int:
+    """Corners of a cube with the given label, as bits."""
+    filled = 0
+    for m in range(8):
+        if labels[cube[0] + (m >> 2), cube[1] + (m >> 1 & 1), cube[2] + (m & 1)] == label:
+            filled |= 1 << m
+    return filled
 
 
 @njit(cache=True)
@@ -322,12 +370,7 @@ def _assemble(
     names = np.empty(face_start[-1], np.int64)
     place = face_start.copy()
     for n in range(len(quads)):
-        flip = 0
-        short = 0.0
-        for a in range(3):
-            short += (points[quads[n, 0], a] - points[quads[n, 2], a]) ** 2
-            short -= (points[quads[n, 1], a] - points[quads[n, 3], a]) ** 2
-        flip = 1 if short > 0 else 0
+        flip = _diagonal(points, quads[n])
         for side in range(2):
             if owner[n, side] == 0:
                 continue

@@ -130,7 +130,7 @@ def _flood(
         for n in range(6):
             if labels[v + steps[n]] == 0:
                 continue
-            other = _root(parent, labels[v + steps[n]])
+            other = _root(parent, int(labels[v + steps[n]]))
             if other == region:
                 continue
             low, high = (region, other) if peak[region] < peak[other] else (other, region)
@@ -157,7 +157,7 @@ def _uphill(heights: np.ndarray, labels: np.ndarray, steps: np.ndarray, lengths:
             if heights[u] + heights[v] > lengths[n]:
                 slope += SURE
             if slope > steepest:
-                best, steepest = labels[u], slope
+                best, steepest = int(labels[u]), slope
     return best
 
 
@@ -169,7 +169,7 @@ def _rename(
     name = np.zeros(count + 1, np.int32)
     names = 0
     for v in order:
-        region = _root(parent, labels[v])
+        region = _root(parent, int(labels[v]))
         if heights[v] <= 0:
             labels[v] = 0
             continue

@@ -44,9 +44,17 @@ def _dataset(path: Path) -> list[str]:
 
 
 def _model(path: Path) -> list[str]:
-    from deepfracture.learn import describe_model
+    from deepfracture.learn import load_model
 
-    return describe_model(path)
+    model = load_model(path)
+    lines = [
+        f"{path}: model of {model.shape_name} at r = {model.body.grid.resolution}, {len(model.codebook)} codes, "
+        f"{path.stat().st_size / 1e6:.1f} MB",
+        f"  trained by {model.about.get('command', 'an unknown command')}, loss {model.about.get('loss', 'unknown')}",
+    ]
+    for true, exact, decoded in model.about.get("counts", ()):
+        lines.append(f"  fragments of a training pattern: {true}, its exact field {exact}, decoded {decoded}")
+    return lines
 
 
 def _scene(path: Path) -> list[str]:

@@ -123,8 +123,8 @@ def train(
     Args:
         dataset: folder made by `deepfracture simulate`.
         out: run folder; the finished weights are model.safetensors in it.
-        epochs: passes over the data (default: the preset's).
-        minutes: stop after this long at the latest.
+        epochs: passes over the data (default: 200).
+        minutes: train for this long instead.
         device: auto, cpu, cuda or mps.
         seed: of the initial weights and the order of samples.
     """

@@ -80,7 +80,9 @@ def _action(recording: Recording) -> Floats:
     away = np.linalg.norm(later - centre, axis=1)
     # a few pieces may leave the picture: following them would make the break itself small
     reach = np.clip(np.quantile(away, 0.95), 1.2 * radius, 2.6 * radius)
-    return np.concatenate([*whole[-1:], burst, later[away <= reach]])
+    early = np.concatenate(whole)
+    near = np.linalg.norm(early - centre, axis=1) <= reach
+    return np.concatenate([burst, early[near], later[away <= reach]])
 
 
 def _times(recording: Recording, start: int, stop: int | None) -> list[int]:
@@ -103,7 +105,7 @@ def _azimuth(recording: Recording) -> float:
     """Degrees: the ball crosses the picture from the left, coming a little towards the viewer's side."""
     hit = break_frame(recording)
     for track in recording.tracks:
-        if track.kind == "ball":
+        if track.kind == "ball" and len(track.positions):
             # up to the frame before the hit: at the hit itself the ball may have bounced already
             last = len(track.positions) - 1 if hit is None else max(hit - 1 - track.start, 1)
             moved = track.positions[min(last, len(track.positions) - 1)] - track.positions[0]

@@ -52,6 +52,8 @@ class _Builder:
         g, doc = self.g, self.doc
         fragment = 0
         for track in self.recording.tracks:
+            if not len(track.positions):
+                continue  # it broke before the first frame
             name = track.name
             if track.kind == "fragment":
                 name, fragment = f"fragment_{fragment:03d}", fragment + 1

@@ -52,7 +52,7 @@ def floor_height(recording: Recording) -> float | None:
     tops = [
         (track.mesh.vertices @ pose(track, track.start)[:3, :3].T)[:, 2].max() + track.positions[0, 2]
         for track in recording.tracks
-        if track.kind == "floor"
+        if track.kind == "floor" and len(track.positions)
     ]
     return float(max(tops)) if tops else None
 

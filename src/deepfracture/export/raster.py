@@ -8,6 +8,7 @@ threads draw several pictures at once.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,10 @@ Triple = tuple[np.float32, np.float32, np.float32]
 
 NOTHING = -1
 """What a sample sees that no triangle covers: the floor or the backdrop."""
+OPTIONS = {"cache": True, "nogil": True, "fastmath": True, "_nrt": False}
+"""No loop here allocates, so none needs Numba to count references to arrays: threads that share arrays
+would wait for each other at the counters, which made shading three times slower."""
+compiled = partial(njit, **OPTIONS)
 F = np.float32
 ZERO, ONE = F(0), F(1)
 FAR = F(1e30)
@@ -161,7 +166,7 @@ def _drawn(
     return depth, triangle
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
+@compiled(fastmath={"contract", "reassoc", "arcp"})
 def _draw(screen, faces, depth, triangle):
     """Nearest triangle of each sample; faces with a corner behind the camera (NaN) are left out."""
     height, width = depth.shape
@@ -191,7 +196,7 @@ def _draw(screen, faces, depth, triangle):
                         depth[j, i], triangle[j, i] = z, f
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _open(depth, table, x, y, z, radius, cosine, sine):
     """Share of the disc of `radius` around texel (x, y) in which nothing is nearer to the light than z."""
     height, width = depth.shape
@@ -206,12 +211,11 @@ def _open(depth, table, x, y, z, radius, cosine, sine):
     return F(free / len(table))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def sky_seen(points, normals, depth, centre, radius, reaches, table):
-    """Share of the sky (n,) that points (n, 3) see past what `depth`, the view from above, shows nearby.
+@compiled()
+def sky_seen(points, normals, depth, centre, radius, reaches, table, seen):
+    """Share of the sky, into `seen` (n,), above points (n, 3) past what `depth`, the view from above, shows.
 
     reaches: radii of the discs [m] over which it looks."""
-    seen = np.empty(len(points), np.float32)
     size = F(depth.shape[0])
     scale = size / (F(2) * radius)
     lift = F(2) / scale
@@ -226,20 +230,19 @@ def sky_seen(points, normals, depth, centre, radius, reaches, table):
                 if a < 0 or b < 0 or a >= depth.shape[1] or b >= depth.shape[0] or depth[b, a] <= z:
                     free += 1
         seen[i] = F(free) / F(len(table) * len(reaches))
-    return seen
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _along(p, t, d):
     return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _key_light(shadows, lights, p, n, turn):
     """Key light on a point, 0..1."""
     facing = _dot(n, lights.toward)
@@ -254,7 +257,7 @@ def _key_light(shadows, lights, p, n, turn):
     return facing * _open(shadows.key_depth, shadows.taps, x, y, z, soft, np.cos(turn), np.sin(turn))
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _floor_sky(table, lights, p):
     """Bilinear look-up of `floor_sky`, 1 beyond the region."""
     count = table.shape[0]
@@ -270,7 +273,7 @@ def _floor_sky(table, lights, p):
     return low + (high - low) * y
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _reflected(lights, n, toward, base, shine, key, sky):
     """Linear light, three channels, that leaves a point against `toward`, the ray that sees it."""
     ambient = F(0.26) * (ONE + n[2]) * (F(0.25) + F(0.75) * sky) + F(0.175) * (ONE - n[2])
@@ -291,7 +294,7 @@ def _reflected(lights, n, toward, base, shine, key, sky):
     return red, green, blue
 
 
-@njit(cache=True, fastmath=True)
+@compiled()
 def _weights(x, y, a, b, c):
     """Shares of corners a, b, c (screen x, y, 1/distance) in what (x, y) sees, and how far that is."""
     xb, yb, xc, yc = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
@@ -303,7 +306,7 @@ def _weights(x, y, a, b, c):
     return u * away, v * away, w * away, away
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@compiled(inline="always")
 def _sample(x, y, f, middle, screen, bodies, view, lights, shadows):
     """Linear light of one sample at (x, y) that sees triangle f."""
     sx, sy = (x - middle[0]) / view.focal, (middle[1] - y) / view.focal
@@ -340,7 +343,7 @@ def _sample(x, y, f, middle, screen, bodies, view, lights, shadows):
     return red + (back[0] - red) * mist, green + (back[1] - green) * mist, blue + (back[2] - blue) * mist
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@compiled(inline="always")
 def _alike(depth, triangle, patch, top, left, samples):
     """Whether all samples of a pixel see one smooth patch without a fold: then one of them speaks for all."""
     f, nearest, farthest = triangle[top, left], ZERO, FAR
@@ -353,7 +356,7 @@ def _alike(depth, triangle, patch, top, left, samples):
     return nearest <= farthest * F(1.02)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled()
 def shade(samples, depth, triangle, screen, bodies, view, lights, shadows, encode, out):
     """sRGB picture `out` (h, w, 3) of what `see` saw, samples x samples a pixel; `encode` = `encoding()`."""
     middle, step = (F(triangle.shape[1]) / F(2), F(triangle.shape[0]) / F(2)), samples // 2

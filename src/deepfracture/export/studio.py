@@ -139,7 +139,8 @@ class Studio:
         points = np.concatenate([vertices, floor])
         upward = np.concatenate([normals, np.tile(np.array([0, 0, 1], one), (len(floor), 1))])
         reaches = (SKY_REACHES * radius).astype(one)
-        seen = sky_seen(points, upward, sky, centre, radius, reaches, taps(SKY_TAPS))
+        seen = np.empty(len(points), one)
+        sky_seen(points, upward, sky, centre, radius, reaches, taps(SKY_TAPS), seen)
         right, up, toward = key_axes
         lights = Lights(
             centre=triple(centre),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -181,4 +182,9 @@ def builtin(name: str) -> Shape:
     plain = plain_name(name)
     if plain not in _MAKERS:
         raise BadInput(f"{name!r}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}")
+    return _made(plain)
+
+
+@cache
+def _made(plain: str) -> Shape:
     return normalise(_MAKERS[plain](), plain)

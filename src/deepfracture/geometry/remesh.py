@@ -94,9 +94,13 @@ def _clusters(mesh: Mesh, count: int) -> Mesh:
 
 
 def _keep_volume(mesh: Mesh, original: Mesh) -> Mesh:
-    """The mesh moved along its normals by one small length, so that it encloses the original volume."""
-    normals = np.zeros_like(mesh.vertices)
-    np.add.at(normals, mesh.faces.ravel(), np.repeat(mesh.area_vectors, 3, axis=0))
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    shift = (original.volume - mesh.volume) / _area(mesh)
-    return Mesh(mesh.vertices + shift * normals, mesh.faces)
+    """The mesh moved along its normals, everywhere as far, so that it encloses the original volume."""
+    for _ in range(4):  # Newton steps; the volume is a cubic in the length.
+        normals = np.zeros_like(mesh.vertices)
+        np.add.at(normals, mesh.faces.ravel(), np.repeat(mesh.area_vectors, 3, axis=0))
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.maximum(lengths, 1e-300)
+        # What the volume gains per length of the move: a third of each face goes to each corner.
+        gain = float(lengths.sum()) / 3
+        mesh = Mesh(mesh.vertices + (original.volume - mesh.volume) / gain * normals, mesh.faces)
+    return mesh

@@ -30,9 +30,8 @@ def wrap(mesh: Mesh, name: str) -> tuple[Mesh, float]:
         nx, ny, nz = (int(n) for n in np.ceil((high - low + 2 * margin) / spacing) + 1)
         shape = (nx, ny, nz)
         away = distance_lattice(mesh, origin, spacing, shape, limit=margin)
-        outer = isosurface(
-            np.where(_outside(away, reach), away, np.minimum(away, reach)) - reach, origin, spacing
-        )
+        free = np.where(_outside(away, reach), away, np.minimum(away, reach))
+        outer = isosurface(np.asarray(free - reach, np.float32), origin, spacing)
         inside = signed_distance_lattice(outer, origin, spacing, shape, limit=margin) - np.float32(reach)
         # A core thicker than the ball: not just the sheets themselves.
         if inside.max() > 2 * spacing:

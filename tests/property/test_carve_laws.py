@@ -1,0 +1,78 @@
+"""Laws of carving on random patterns: nothing is lost, and segmentation undoes encoding."""
+
+import numpy as np
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+from deepfracture.carve import cut, encode, segment, voronoi_pattern
+from deepfracture.types import FracturePattern, Fragments, Grid, Mesh, Shape
+
+BOX = trimesh.creation.box((2, 1.2, 0.9))
+SHAPE = Shape("box", Mesh(BOX.vertices, BOX.faces))
+
+
+def box_distance(grid: Grid) -> np.ndarray:
+    """Signed distance to the box, positive inside [m]."""
+    past = np.abs(grid.centres()) - [1, 0.6, 0.45]
+    outside = np.linalg.norm(np.maximum(past, 0), axis=-1)
+    return (-outside - np.minimum(past.max(axis=-1), 0)).astype(np.float32)
+
+
+def spread_sites(seed: int, count: int, apart: float) -> np.ndarray:
+    """Up to `count` random points of the box at least `apart` from each other, (n, 3)."""
+    sites: list[np.ndarray] = []
+    for point in np.random.default_rng(seed).uniform([-1, -0.6, -0.45], [1, 0.6, 0.45], (400, 3)):
+        if len(sites) < count and all(np.linalg.norm(point - site) > apart for site in sites):
+            sites.append(point)
+    return np.array(sites)
+
+
+def assert_conserved(fragments: Fragments) -> None:
+    for piece in fragments:
+        ends = np.concatenate([piece.mesh.faces[:, [a, (a + 1) % 3]] for a in range(3)])
+        forth, times = np.unique(ends, axis=0, return_counts=True)
+        assert (times == 1).all()
+        np.testing.assert_array_equal(forth, np.unique(ends[:, ::-1], axis=0))
+        assert piece.volume > 0
+    assert abs(fragments.volume / SHAPE.mesh.volume - 1) < 1e-6
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 12))
+def test_segmentation_undoes_encoding(seed, count):
+    """Same fragments, and all but the voxels beside the cracks in the right one."""
+    grid = Grid(64)
+    distance = box_distance(grid)
+    pattern = voronoi_pattern(spread_sites(seed, count, 0.5), distance, grid)
+    found = segment(encode(pattern, distance))
+    inside = pattern.labels > 0
+    pairs, times = np.unique(
+        np.stack([pattern.labels[inside], found.labels[inside]]), axis=1, return_counts=True
+    )
+    big = np.bincount(pattern.labels[inside]) >= 300  # smaller ones may hold no voxel off the boundary
+    assert found.count <= pattern.count
+    partner = {
+        true: pairs[1][pairs[0] == true][np.argmax(times[pairs[0] == true])] for true in np.flatnonzero(big)
+    }
+    assert len(set(partner.values())) == big.sum()
+    right = sum(t for (true, name), t in zip(pairs.T, times, strict=True) if partner.get(true) == name)
+    assert right / big[pattern.labels[inside]].sum() > 0.95
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(1, 6),
+    blur=st.sampled_from([0.0, 1.0, 3.0]),
+    holes=st.sampled_from([0.0, 0.3, 0.99]),
+)
+def test_cut_conserves_volume_for_any_labels(seed, count, blur, holes):
+    """White noise, blobs and scraps of labels: closed fragments that add up to the shape."""
+    rng, grid = np.random.default_rng(seed), Grid(32)
+    noise = rng.normal(size=(count, *grid.shape))
+    labels = 1 + np.argmax([gaussian_filter(n, blur) for n in noise], axis=0)
+    labels[rng.random(grid.shape) < holes] = 0
+    distance = rng.uniform(0, grid.spacing, grid.shape)
+    assert_conserved(cut(SHAPE, FracturePattern(grid, labels, distance), density=1000))
