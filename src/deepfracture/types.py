@@ -232,7 +232,7 @@ class FracturePattern:
     @property
     def count(self) -> int:
         """Number of fragments."""
-        return int(len(np.unique(self.labels[self.labels > 0])))
+        return len(np.unique(self.labels[self.labels > 0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,9 +34,7 @@ def test_normalise_and_back(seed, scale, shift):
     size = np.ptp(shape.mesh.bounds, axis=0)
     np.testing.assert_allclose(size.max(), 2, rtol=1e-9)
     np.testing.assert_allclose(shape.mesh.bounds.mean(axis=0), 0, atol=1e-9 * (1 + abs(shift) / scale))
-    np.testing.assert_allclose(
-        shape.to_user(shape.mesh.vertices), mesh.vertices, rtol=1e-9, atol=1e-9 * scale
-    )
+    np.testing.assert_allclose(shape.to_user(shape.mesh.vertices), mesh.vertices, rtol=1e-9, atol=1e-9 * scale)
 
 
 @settings(max_examples=25, deadline=None)

@@ -168,8 +168,8 @@ def test_remesh_refines_a_box_of_twelve_triangles_and_follows_thin_limbs():
     rod = box((2, 0.05, 0.05), 9.0)
     thin = remesh(rod, 300)
     assert faults(thin).closed and thin.volume == pytest.approx(rod.volume, rel=0.02)
-    with pytest.raises(BadInput, match=r"60 triangles are too few .* ask for"):
-        remesh(rod, 60)
+    with pytest.raises(BadInput, match=r"30 triangles are too few .* ask for"):
+        remesh(rod, 30)
 
 
 def test_remesh_refuses_open_meshes_and_silly_counts():

@@ -190,9 +190,7 @@ def test_repair_wraps_what_has_edges_with_many_faces(tmp_path):
 def test_repair_leaves_good_meshes_alone(tmp_path):
     mesh = builtin("letter_a").mesh
     path = write_obj(tmp_path / "good.obj", mesh)
-    np.testing.assert_array_equal(
-        load_shape(str(path), repair=True).mesh.vertices, load_shape(str(path)).mesh.vertices
-    )
+    np.testing.assert_array_equal(load_shape(str(path), repair=True).mesh.vertices, load_shape(str(path)).mesh.vertices)
 
 
 @pytest.mark.skipif(not (DATA / "teapot.obj").exists(), reason="the shared meshes are not here")

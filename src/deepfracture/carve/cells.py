@@ -14,7 +14,6 @@ MARGIN = 4
 """Voxels added on every side of the grid: bodies touch its border, cells must reach past them."""
 DUST_VOXELS = 8
 """A part of a label with fewer voxels joins its neighbours: too small to have a shape."""
-CLEAN_ROUNDS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +45,11 @@ def cell_field(mesh: Mesh, pattern: FracturePattern) -> CellField:
     labels[~body] = 0
     labels = _fill(labels, body)
     labels = _without_dust(labels, body)
-    labels = connected_labels(labels)
-    for _ in range(CLEAN_ROUNDS):
-        if not _join_diagonals(labels):
-            break
     _grow(labels, _rim(labels))
+    labels = connected_labels(labels)
+    while _join_diagonals(labels):
+        pass
+    labels = connected_labels(labels)
     return CellField(labels, distance.astype(np.float32), int(labels.max()))
 
 
@@ -185,10 +184,11 @@ def _grow(labels: np.ndarray, empty: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def _join_diagonals(labels: np.ndarray) -> int:
-    """Where two voxels of a label meet only along an edge, give one of the two between to the label.
+    """Where two voxels of a label meet only along an edge, change one of the four voxels there.
 
-    A cell that touches itself along an edge has four faces there. Changes a contiguous array whose border
-    is empty in place and returns the number of changes."""
+    A cell that touches itself along an edge has four faces there, so no manifold surface. The higher
+    label gives way to the lower, and the outside to all, so that repeating comes to an end. Changes a
+    contiguous array whose border is empty in place and returns the number of changes."""
     changes = 0
     flat = labels.reshape(-1)
     strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
@@ -202,9 +202,20 @@ def _join_diagonals(labels: np.ndarray) -> int:
                 continue
             d = flat[v + p + q]
             if a == d and a != 0:
-                flat[v + p if b == 0 else v + q] = a
+                _give_way(flat, v, v + p + q, v + p, v + q)
                 changes += 1
-            elif b == c and b != 0 and d != b:
-                flat[v if a == 0 else v + p + q] = b
+            elif b == c and b != 0 and b != d:
+                _give_way(flat, v + p, v + q, v, v + p + q)
                 changes += 1
     return changes
+
+
+@njit(cache=True, inline="always")
+def _give_way(flat: np.ndarray, one: int, two: int, left: int, right: int) -> None:
+    """Part or join the voxels `one` and `two` of one label across the voxels `left` and `right`."""
+    if flat[left] == 0 or (flat[right] != 0 and flat[left] > flat[right]):
+        left, right = right, left
+    if flat[right] == 0 or flat[right] > flat[one]:
+        flat[right] = flat[one]
+    else:
+        flat[two] = flat[left]

@@ -153,9 +153,7 @@ def voronoi_pattern(sites: ArrayLike, surface_distance: ArrayLike, grid: Grid) -
 
 
 @njit(cache=True)
-def _voronoi(
-    sites: np.ndarray, surface: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray
-) -> None:
+def _voronoi(sites: np.ndarray, surface: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray) -> None:
     r, n = surface.shape[0], len(sites)
     for i in range(r):
         squared = np.empty(n)

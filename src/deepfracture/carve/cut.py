@@ -22,6 +22,8 @@ CRUMB_VOXELS = 4.0
 """A piece below this volume [voxels] that the cut leaves over joins the neighbour it fits best."""
 REACHES = (REACH, 0.25, 0.0)
 """How far crack vertices may move to be smooth [voxels]: the next when the cells of one overlap."""
+ROUNDING = 1e-13
+"""Share of a cell's volume below which a part of it is flat: nothing but rounding."""
 VOLUME_TOL = 1e-9
 """Relative error of the pieces' volumes above which cells overlap: rounding leaves 1e-13."""
 
@@ -30,10 +32,9 @@ VOLUME_TOL = 1e-9
 class _Piece:
     """One connected piece of the cut body."""
 
-    solid: Manifold
     mesh: Mesh
-    source: np.ndarray
-    """As `Fragment.source`, shape (m,)."""
+    own: np.ndarray
+    """Whether each face lies on the body's own surface, shape (m,)."""
     names: np.ndarray
     """For each face the triangle of the original or the face of the cell that it lies in, shape (m,)."""
 
@@ -44,7 +45,16 @@ class _Piece:
     @cached_property
     def cracks(self) -> np.ndarray:
         """Names of the cells' faces that it shows, sorted."""
-        return np.unique(self.names[self.source < 0])
+        return np.unique(self.names[~self.own])
+
+    def with_void(self, void: _Piece) -> _Piece:
+        faces = np.concatenate([self.mesh.faces, void.mesh.faces + len(self.mesh.vertices)])
+        mesh = Mesh(np.concatenate([self.mesh.vertices, void.mesh.vertices]), faces)
+        own = np.concatenate([self.own, void.own])
+        return _Piece(mesh, own, np.concatenate([self.names, void.names]))
+
+    def solid(self, body_id: int) -> Manifold:
+        return _solid(self.mesh, self.names, self.own, body_id)
 
 
 def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
@@ -63,17 +73,21 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
     Raises:
         BadInput: The mesh is not closed and oriented, or density is not positive.
     """
+    from manifold3d import Manifold
+
     if not density > 0:
         raise BadInput(f"density must be positive, got {density}")
-    body, body_id = _solid(shape.mesh.vertices, shape.mesh.faces)
+    faces = np.arange(len(shape.mesh.faces))
+    body_id = Manifold.reserve_ids(1)
+    body = _solid(shape.mesh, faces, np.ones(len(faces), bool), body_id)
     if body.status().name != "NoError" or not body.volume() > 0:
         raise BadInput(f"{shape.name}: cannot be cut, its mesh is not closed and oriented; try --repair")
     field = cell_field(shape.mesh, pattern)
     if field.count < 2:
-        return Fragments((_fragment(shape.mesh, np.arange(len(shape.mesh.faces)), density),))
+        return Fragments((_fragment(shape.mesh, faces, density),))
     pieces = _split(body, body_id, field, pattern.grid)
     pieces = _join_crumbs(pieces, CRUMB_VOXELS * pattern.grid.spacing**3, body_id)
-    return Fragments(tuple(_fragment(piece.mesh, piece.source, density) for piece in pieces))
+    return Fragments(tuple(_fragment(piece.mesh, np.where(piece.own, piece.names, -1), density) for piece in pieces))
 
 
 def _split(body: Manifold, body_id: int, field: CellField, grid: Grid) -> list[_Piece]:
@@ -85,50 +99,73 @@ def _split(body: Manifold, body_id: int, field: CellField, grid: Grid) -> list[_
     pieces: list[_Piece] = []
     for reach in REACHES:
         cells = surface_nets(field, reach=reach)
-        pieces = [piece for cell in _cell_solids(cells, grid) for piece in _pieces(body ^ cell, body_id)]
+        pieces = [piece for cell in _cell_solids(cells, grid, body_id) for piece in _pieces(body ^ cell, body_id)]
         lost = abs(sum(piece.volume for piece in pieces) / body.volume() - 1)
-        if lost < VOLUME_TOL and all(piece.volume > 0 for piece in pieces):
+        if lost < VOLUME_TOL:
             break
         log.info("cells of reach %.2g voxels overlap: volume is off by %.1e", reach, lost)
     return pieces
 
 
-def _solid(points: np.ndarray, faces: np.ndarray, names: np.ndarray | None = None) -> tuple[Manifold, int]:
-    """A solid whose faces keep their names through booleans, and its id."""
+def _solid(mesh: Mesh, names: np.ndarray, own: np.ndarray, body_id: int) -> Manifold:
+    """A solid whose faces keep their names through booleans; `own` ones are the original's.
+
+    Each face needs a name of its own among its kind, or coplanar neighbours would be merged."""
     from manifold3d import Manifold, Mesh64
 
-    own = Manifold.reserve_ids(1)
-    # A name of its own for each triangle keeps coplanar neighbours from being merged.
-    names = np.arange(len(faces)) if names is None else names
-    mesh = Mesh64(
-        vert_properties=np.array(points, np.float64, order="C"),
-        tri_verts=np.array(faces, np.uint64, order="C"),
-        run_index=np.array([0, 3 * len(faces)], np.uint64),
-        run_original_id=np.array([own], np.uint32),
-        face_id=np.array(names, np.uint64),
+    order = np.argsort(~own, kind="stable")
+    ends = [0, 3 * int(own.sum()), 3 * len(own)]
+    return Manifold(
+        Mesh64(
+            vert_properties=np.array(mesh.vertices),
+            tri_verts=mesh.faces[order].astype(np.uint64),
+            run_index=np.array(ends, np.uint64),
+            run_original_id=np.array([body_id, Manifold.reserve_ids(1)], np.uint32),
+            face_id=names[order].astype(np.uint64),
+        )
     )
-    return Manifold(mesh), own
 
 
-def _cell_solids(cells: Cells, grid: Grid) -> Iterator[Manifold]:
+def _cell_solids(cells: Cells, grid: Grid, body_id: int) -> Iterator[Manifold]:
     world = grid.to_world(cells.points - MARGIN)
     for n in range(len(cells.face_start) - 1):
         own = slice(cells.face_start[n], cells.face_start[n + 1])
         points = world[cells.vertices[cells.vertex_start[n] : cells.vertex_start[n + 1]]]
-        solid, _ = _solid(points, cells.faces[own], cells.names[own])
+        faces, names = cells.faces[own], cells.names[own]
+        solid = _solid(Mesh(points, faces), names, np.zeros(len(faces), bool), body_id)
         assert solid.status().name == "NoError", f"cell {n + 1}: {solid.status().name}"
         yield solid
 
 
-def _pieces(solid: Manifold, body_id: int) -> Iterator[_Piece]:
-    """The connected parts of a solid."""
-    for part in solid.decompose():
-        out = part.to_mesh64()
-        lengths = np.diff(np.asarray(out.run_index, np.int64)) // 3
-        own = np.repeat(np.asarray(out.run_original_id) == body_id, lengths)
-        names = np.asarray(out.face_id, np.int64)
-        mesh = Mesh(out.vert_properties[:, :3], np.asarray(out.tri_verts, np.int64))
-        yield _Piece(part, mesh, np.where(own, names, -1), names)
+def _pieces(solid: Manifold, body_id: int) -> list[_Piece]:
+    """The connected parts of a solid, each with the voids inside it."""
+    shells = [_shell(shell, body_id) for shell in solid.decompose()]
+    flat = ROUNDING * sum(abs(shell.volume) for shell in shells)
+    parts = sorted((shell for shell in shells if shell.volume > flat), key=lambda part: part.volume)
+    solids = [part.mesh for part in parts]
+    for void in (shell for shell in shells if shell.volume < -flat):
+        # The smallest part around a void holds it; with one part there is no choice.
+        around = [n for n, mesh in enumerate(solids[:-1]) if _encloses(mesh, void.mesh.vertices[0])]
+        n = around[0] if around else len(parts) - 1
+        parts[n] = parts[n].with_void(void)
+    return parts
+
+
+def _shell(solid: Manifold, body_id: int) -> _Piece:
+    out = solid.to_mesh64()
+    lengths = np.diff(np.asarray(out.run_index, np.int64)) // 3
+    own = np.repeat(np.asarray(out.run_original_id) == body_id, lengths)
+    mesh = Mesh(out.vert_properties[:, :3], np.asarray(out.tri_verts, np.int64))
+    return _Piece(mesh, own, np.asarray(out.face_id, np.int64))
+
+
+def _encloses(mesh: Mesh, point: np.ndarray) -> bool:
+    """Whether a closed mesh winds around a point off its surface (van Oosterom & Strackee 1983)."""
+    a, b, c = np.moveaxis(mesh.triangles - point, 1, 0)
+    x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+    dots = x * y * z + (a * b).sum(1) * z + (b * c).sum(1) * x + (c * a).sum(1) * y
+    angle = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
+    return bool(angle.sum() > 2 * np.pi)
 
 
 def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_Piece]:
@@ -142,7 +179,7 @@ def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_P
         joined = []
         if max(shared, default=0) > 0:
             best = int(np.argmax(shared))
-            joined = list(_pieces(kept[best].solid + crumb.solid, body_id))
+            joined = _pieces(kept[best].solid(body_id) + crumb.solid(body_id), body_id)
         if len(joined) == 1:
             kept[best] = joined[0]
         else:

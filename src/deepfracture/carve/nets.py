@@ -94,9 +94,7 @@ def _number_cubes(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True)
-def _place(
-    labels: np.ndarray, distance: np.ndarray, cubes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _place(labels: np.ndarray, distance: np.ndarray, cubes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean crossing of each cube's edges, share of the edges whose crossing is known, number of cells."""
     points = np.empty((len(cubes), 3))
     trusted = np.zeros(len(cubes))
@@ -335,12 +333,9 @@ def _pinched(labels: np.ndarray, cubes: np.ndarray, cycles: np.ndarray) -> np.nd
     pinched = np.zeros(len(cubes), np.bool_)
     for v in range(len(cubes)):
         for n in range(8):
-            filled = _filled(
-                labels,
-                cubes[v],
-                labels[cubes[v, 0] + (n >> 2), cubes[v, 1] + (n >> 1 & 1), cubes[v, 2] + (n & 1)],
-            )
-            pinched[v] = pinched[v] or cycles[filled].max() > 0
+            label = int(labels[cubes[v, 0] + (n >> 2), cubes[v, 1] + (n >> 1 & 1), cubes[v, 2] + (n & 1)])
+            if label != 0 and cycles[_filled(labels, cubes[v], label)].max() > 0:
+                pinched[v] = True
     return pinched
 
 

@@ -162,9 +162,7 @@ def _uphill(heights: np.ndarray, labels: np.ndarray, steps: np.ndarray, lengths:
 
 
 @njit(cache=True)
-def _rename(
-    heights: np.ndarray, order: np.ndarray, parent: np.ndarray, labels: np.ndarray, count: int
-) -> None:
+def _rename(heights: np.ndarray, order: np.ndarray, parent: np.ndarray, labels: np.ndarray, count: int) -> None:
     """Number the regions from 1 by their peaks, highest first, and clear the cage."""
     name = np.zeros(count + 1, np.int32)
     names = 0

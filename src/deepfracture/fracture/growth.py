@@ -18,6 +18,8 @@ OVERSHOOT = 1.8
 """A front runs this many voxels past the surface, so that no voxel inside is left uncut."""
 FREE_SURFACE_LIMIT = 2.5
 """Upper bound of the free-surface factor of the stress intensity (fitted for a/R up to 0.7, where it is 1.5)."""
+NUCLEUS = 2.0
+"""Radius within which a crack opens at once [voxels]: below it a front has no meaning on the lattice."""
 FRONT, STOPPED = 1, 2
 
 
@@ -102,82 +104,99 @@ def _parent(status, arrival, i, j, k):
 
 
 @njit(cache=True)
-def march(sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, broken, seed, start, h, ratio, rise, speed, longest):
-    """Fast marching (a heap of arrival times) of the front from `seed` (fractional fine index).
+def _advance(came, before, past, step, local, thickness, a, depth, toughness, rise, speed, longest):
+    """The front goes on by one cell: arrival time (inf: never), tension that opens the wall, its mean so far.
 
-    sdf: distance to the surface on the fine lattice [m]. On the coarse lattice: wall, the local thickness [m],
-    stress (6, m, m, m) [Pa], sheet [m], toughness [Pa sqrt(m)], each (m, m, m).
-    Returns accepted cells (n, 3), offset (n,), normal (n, 3)."""
-    n = sdf.shape[0]
-    cells = [(0, 0, 0)]
-    found = [(0.0, 0.0, 0.0, 0.0)]
-    cells.pop()
-    found.pop()
-    heap = [(start, 0, 0, 0)]
-    heap.pop()
-    nucleus = 2.0
+    came, before, past: arrival, opening tension and its mean at the cell that the front comes from; step: the
+    distance from there [m]; local: tension across the sheet [Pa]; a: crack length [m]; depth: to the surface [m]."""
+    # The tension at a crack's mouth drives it through the wall although the far side is compressed:
+    # under bending K_I of an edge crack never falls below that of the surface stress (Tada 2.13).
+    opening = max(local, before * np.exp(-step / thickness))
+    # Along the wall K_I weighs the tension over the whole crack, not at its front alone (Tada 5.11).
+    pull = past + (opening - past) * min(step / a, 1.0)
+    if pull <= 0:
+        return np.inf, opening, pull
+    near = a / (a + max(depth, 0.0))
+    surface = min(1 / (1 - min(near * near * near, 0.9)), FREE_SURFACE_LIMIT)
+    # Sneddon 1946: penny crack, K_I = 2 sigma sqrt(a / pi); then the free-surface factor
+    intensity = 2 * pull * np.sqrt(min(a, longest) / np.pi) * surface
+    need = toughness / intensity  # share of the peak load that moves the front
+    if need >= 1:
+        return np.inf, opening, pull
+    load = max(min(came / rise, 1.0), need * 1.02)
+    # Freund 1990: v = c_R (1 - G_c / G); at least a tenth, so that a barely critical front still moves
+    velocity = speed * max(1 - (need / load) ** 2, 0.1)
+    return max(came, need * rise) + step / velocity, opening, pull
+
+
+@njit(cache=True)
+def _seeded(seed, start):
+    """The heap of a march: the cells around the seed."""
+    heap = [(start, int(seed[0]), int(seed[1]), int(seed[2]))]
     for i in range(int(seed[0]) - 2, int(seed[0]) + 4):
         for j in range(int(seed[1]) - 2, int(seed[1]) + 4):
             for k in range(int(seed[2]) - 2, int(seed[2]) + 4):
                 heapq.heappush(heap, (start, i, j, k))
+    return heap
+
+
+@njit(cache=True)
+def _on_sheet(sheet, x, y, z, ratio, h):
+    """Signed distance to the sheet [m] and its normal at a fractional coarse index; infinite where it is too flat."""
+    p, gx, gy, gz = _sheet_at(sheet, x, y, z, 0.6 * ratio)
+    slope = np.sqrt(gx * gx + gy * gy + gz * gz) + 1e-12
+    offset = p / slope * h / ratio if slope * ratio / h >= 0.1 else np.inf  # gradient per coarse index
+    return offset, gx / slope, gy / slope, gz / slope
+
+
+@njit(cache=True)
+def march(
+    sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, broken, seed, start, h, ratio, rise, speed, longest
+):  # fmt: skip
+    """Fast marching (a heap of arrival times) of the front from `seed` (fractional fine index).
+
+    sdf: distance to the surface on the fine lattice [m]. On the coarse lattice: wall, the local thickness [m],
+    stress (6, m, m, m) [Pa], sheet [m], toughness [Pa sqrt(m)], each (m, m, m).
+    Returns accepted cells (n, 3), and for each the distance to the sheet and its normal (n, 4)."""
+    n = sdf.shape[0]
+    cells = [(0, 0, 0) for _ in range(0)]
+    found = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    heap = _seeded(seed, start)
     while len(heap) > 0:
         now, i, j, k = heapq.heappop(heap)
-        if i < 2 or j < 2 or k < 2 or i > n - 3 or j > n - 3 or k > n - 3:
-            continue
-        if status[i, j, k] != 0 or sdf[i, j, k] < -OVERSHOOT * h:
+        if min(i, j, k) < 2 or max(i, j, k) > n - 3 or status[i, j, k] != 0 or sdf[i, j, k] < -OVERSHOOT * h:
             continue
         x, y, z = (i + 0.5) * ratio - 0.5, (j + 0.5) * ratio - 0.5, (k + 0.5) * ratio - 0.5
-        p, gx, gy, gz = _sheet_at(sheet, x, y, z, 0.6 * ratio)
-        slope = np.sqrt(gx * gx + gy * gy + gz * gz) + 1e-12
-        offset = p / slope * h / ratio  # gradient per coarse index -> distance [m]
-        if abs(offset) > BAND * h or slope * ratio / h < 0.1:
+        offset, nx, ny, nz = _on_sheet(sheet, x, y, z, ratio, h)
+        if abs(offset) > BAND * h:
             continue
-        nx, ny, nz = gx / slope, gy / slope, gz / slope
         radius = np.sqrt((i - seed[0]) ** 2 + (j - seed[1]) ** 2 + (k - seed[2]) ** 2)
         local = _opening_stress(stress, x, y, z, nx, ny, nz)
-        if radius <= nucleus:
-            reached, opening, pull = start, max(local, 0.0), max(local, 0.0)
-        else:
+        reached, opening, pull = start, max(local, 0.0), max(local, 0.0)
+        if radius > NUCLEUS:
             came, di, dj, dk = _parent(status, arrival, i, j, k)
             if came == np.inf:
                 continue
-            step = np.sqrt(float(di * di + dj * dj + dk * dk)) * h
-            a = radius * h
-            # The tension at a crack's mouth drives it through the wall although the far side is compressed:
-            # under bending K_I of an edge crack never falls below that of the surface stress (Tada 2.13).
-            before = mouth[i + di, j + dj, k + dk]
-            opening = max(local, before * np.exp(-step / interpolate(wall, x, y, z)))
-            # Along the wall K_I weighs the tension over the whole crack, not at its front alone (Tada 5.11).
-            past = drive[i + di, j + dj, k + dk]
-            pull = past + (opening - past) * min(step / a, 1.0)
-            if pull <= 0:
+            a, b, c = i + di, j + dj, k + dk
+            reached, opening, pull = _advance(
+                came, mouth[a, b, c], drive[a, b, c], np.sqrt(float(di * di + dj * dj + dk * dk)) * h, local,
+                interpolate(wall, x, y, z), radius * h, sdf[i, j, k], interpolate(toughness, x, y, z),
+                rise, speed, longest,
+            )  # fmt: skip
+            if reached == np.inf:
                 continue
-            near = a / (a + max(sdf[i, j, k], 0.0))
-            surface = min(1 / (1 - min(near * near * near, 0.9)), FREE_SURFACE_LIMIT)
-            # Sneddon 1946: penny crack, K_I = 2 sigma sqrt(a / pi); then the free-surface factor
-            intensity = 2 * pull * np.sqrt(min(a, longest) / np.pi) * surface
-            need = interpolate(toughness, x, y, z) / intensity  # share of the peak load that moves the front
-            if need >= 1:
-                continue
-            load = max(min(came / rise, 1.0), need * 1.02)
-            # Freund 1990: v = c_R (1 - G_c / G); at least a tenth, so that a barely critical front still moves
-            velocity = speed * max(1 - (need / load) ** 2, 0.1)
-            reached = max(came, need * rise) + step / velocity
             if reached > now * (1 + 1e-6) + 1e-12:
                 heapq.heappush(heap, (reached, i, j, k))
                 continue
-        arrival[i, j, k] = reached
-        drive[i, j, k] = pull
-        mouth[i, j, k] = opening
-        stopped = radius > nucleus and (sdf[i, j, k] < -h or broken[i, j, k] != 0)
+        arrival[i, j, k], mouth[i, j, k], drive[i, j, k] = reached, opening, pull
+        stopped = radius > NUCLEUS and (sdf[i, j, k] < -h or broken[i, j, k] != 0)
         status[i, j, k] = STOPPED if stopped else FRONT
         cells.append((i, j, k))
         found.append((offset, nx, ny, nz))
-        if not stopped:
-            for q in range(6):
-                a, b, c = i + (q == 0) - (q == 1), j + (q == 2) - (q == 3), k + (q == 4) - (q == 5)
-                if status[a, b, c] == 0:
-                    heapq.heappush(heap, (reached, a, b, c))
+        for q in range(0 if stopped else 6):
+            a, b, c = i + (q == 0) - (q == 1), j + (q == 2) - (q == 3), k + (q == 4) - (q == 5)
+            if status[a, b, c] == 0:
+                heapq.heappush(heap, (reached, a, b, c))
     return cells, found
 
 

@@ -156,6 +156,7 @@ def _settle(
         front.broken[tuple(crack.voxels[within].T)] = 1
     front.status[cells] = 0
     front.arrival[cells] = 0
+    front.mouth[cells] = 0
     front.drive[cells] = 0
 
 

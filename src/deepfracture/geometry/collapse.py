@@ -17,6 +17,9 @@ TURN = 0.3
 SHAPE = 0.3
 """Shape of a triangle (1 equilateral, 0 sliver) that a collapse may always make."""
 
+NEEDLE = 0.03
+"""Shape below which a triangle may turn as it likes."""
+
 
 def collapse_short(mesh: Mesh, length: float) -> Mesh:
     """The closed mesh without edges shorter than `length`, as far as its topology and the sense of its
@@ -38,9 +41,7 @@ def collapse_short(mesh: Mesh, length: float) -> Mesh:
 
 
 @njit(cache=True)
-def _collapse(
-    vertices: Floats, faces: Ints, short: Ints, at: Ints, first: Ints, stands: Ints
-):  # pragma: no cover
+def _collapse(vertices: Floats, faces: Ints, short: Ints, at: Ints, first: Ints, stands: Ints):  # pragma: no cover
     """Collapse edges whose neighbourhoods do not touch; returns how many.
 
     at, first: the faces at each vertex, as compressed rows. Moves `vertices` and writes into
@@ -98,9 +99,7 @@ def _may_join(faces: Ints, at: Ints, first: Ints, a: int, b: int, mark: Ints, st
 
 
 @njit(cache=True)
-def _shape(
-    vertices: Floats, faces: Ints, at: Ints, first: Ints, a: int, b: int, place: Floats
-):  # pragma: no cover
+def _shape(vertices: Floats, faces: Ints, at: Ints, first: Ints, a: int, b: int, place: Floats):  # pragma: no cover
     """Worst shape (1 equilateral, 0 sliver) of the faces at a, but not b, once a moves to place.
     Negative when a face turns too far, or becomes a worse sliver than any of them was."""
     worst, worst_before = 1.0, 1.0
@@ -114,10 +113,12 @@ def _shape(
             moved[corner] = place if face[corner] == a else corners[corner]
         before, after = _normal(corners), _normal(moved)
         area_before, area = np.sqrt((before * before).sum()), np.sqrt((after * after).sum())
-        if area_before > 0 and (before * after).sum() <= TURN * area_before * area:
+        shape = 2 * np.sqrt(3.0) * area_before / max(_squares(corners), 1e-300)
+        # The normal of a sliver says nothing.
+        if shape > NEEDLE and (before * after).sum() <= TURN * area_before * area:
             return -1.0
-        worst_before = min(worst_before, 2 * np.sqrt(3.0) * area_before / _squares(corners))
-        worst = min(worst, 2 * np.sqrt(3.0) * area / _squares(moved))
+        worst_before = min(worst_before, shape)
+        worst = min(worst, 2 * np.sqrt(3.0) * area / max(_squares(moved), 1e-300))
     return worst if worst > min(worst_before, SHAPE) else -1.0
 
 

@@ -29,9 +29,7 @@ class Closest(NamedTuple):
 
 
 @njit(cache=True, parallel=True)
-def _fill_distances(
-    tree: Tree, origin: Floats, step: Floats, limit: float, values: Floats32
-):  # pragma: no cover
+def _fill_distances(tree: Tree, origin: Floats, step: Floats, limit: float, values: Floats32):  # pragma: no cover
     nx, ny, nz = values.shape
     for i in prange(nx):
         stack = np.empty(STACK, np.int64)

@@ -179,9 +179,7 @@ def _box_distance2(px: float, py: float, pz: float, box: Floats):  # pragma: no 
 
 
 @njit(cache=True)
-def nearest(
-    px: float, py: float, pz: float, tree: Tree, guess: int, limit: float, stack: Ints
-):  # pragma: no cover
+def nearest(px: float, py: float, pz: float, tree: Tree, guess: int, limit: float, stack: Ints):  # pragma: no cover
     """Leaf position of the triangle nearest to p and its squared distance, or guess and limit
     when nothing is nearer than that.
 

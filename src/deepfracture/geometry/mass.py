@@ -41,9 +41,7 @@ def mass_properties(mesh: Mesh, density: float) -> MassProperties:
     centre = volumes @ sums / (4 * volume)
     # Integral of x x^T over a tetrahedron with one corner at the pivot:
     # volume / 20 * (sum over corners of c c^T + (sum of c) (sum of c)^T).
-    moments = np.einsum("n,nci,ncj->ij", volumes, corners, corners) + np.einsum(
-        "n,ni,nj->ij", volumes, sums, sums
-    )
+    moments = np.einsum("n,nci,ncj->ij", volumes, corners, corners) + np.einsum("n,ni,nj->ij", volumes, sums, sums)
     moments = moments / 20 - volume * np.outer(centre, centre)
     inertia = density * (np.trace(moments) * np.eye(3) - moments)
     return MassProperties(volume, density * volume, centre + pivot, (inertia + inertia.T) / 2)

@@ -33,13 +33,9 @@ def read_triangles(path: str | Path) -> Mesh:
         raise BadInput(f"{path}: no triangles found; is it really {_article(path)} file?")
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
-        raise BadInput(
-            f"{path}: {bad.sum()} of {len(vertices)} vertices are NaN or infinite; export it again"
-        )
+        raise BadInput(f"{path}: {bad.sum()} of {len(vertices)} vertices are NaN or infinite; export it again")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise BadInput(
-            f"{path}: faces use vertices that the file lacks ({len(vertices)} given); export it again"
-        )
+        raise BadInput(f"{path}: faces use vertices that the file lacks ({len(vertices)} given); export it again")
     try:
         return weld(vertices, faces)
     except BadInput as problem:
@@ -85,14 +81,12 @@ def check_solid(mesh: Mesh, name: str) -> Mesh:
     size = np.ptp(mesh.bounds, axis=0)
     if volumes.sum() <= 1e-9 * size.max() ** 3:
         raise BadInput(
-            f"{name}: encloses no volume (box {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g});"
-            " a solid is needed"
+            f"{name}: encloses no volume (box {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g}); a solid is needed"
         )
     bodies = int((volumes > 0).sum())
     if bodies > 1:
         raise BadInput(
-            f"{name}: {bodies} separate closed bodies, one is needed;"
-            " try --repair if they overlap, else split the file"
+            f"{name}: {bodies} separate closed bodies, one is needed; try --repair if they overlap, else split the file"
         )
     return split_pinches(mesh)
 

@@ -12,8 +12,8 @@ from deepfracture.geometry.topology import compact, faults, torn_vertices
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Mesh
 
-FINENESS = 8
-"""Input vertices a cluster needs so that clusters come out round."""
+FINENESS = (8, 12)
+"""Input vertices a cluster needs so that clusters come out round: tried in turn."""
 
 
 def remesh(mesh: Mesh, triangles: int) -> Mesh:
@@ -31,9 +31,12 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
     euler = _euler(mesh)
     # Euler: faces = 2 (vertices - chi).
     wanted = triangles // 2 + euler
-    fine = _subdivided(mesh, FINENESS * wanted)
-    result = _clusters(fine, max(10, wanted))
-    if len(torn_vertices(result)) or _euler(result) != euler or faults(result).shells != before.shells:
+    for fineness in FINENESS:
+        fine = _subdivided(mesh, fineness * wanted)
+        result = _clusters(fine, max(10, wanted))
+        if not len(torn_vertices(result)) and _euler(result) == euler and faults(result).shells == before.shells:
+            break
+    else:
         # Limbs thinner than a cluster pinch it: coarsen edge by edge instead, which cannot tear.
         result = _coarsened(fine, triangles)
         log.info("remesh: thin limbs; %d triangles where %d were asked for", len(result.faces), triangles)
@@ -41,15 +44,16 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
 
 
 def _coarsened(mesh: Mesh, triangles: int) -> Mesh:
-    """The mesh with ever longer edges collapsed until it has `triangles` or fewer."""
+    """The mesh with ever longer edges collapsed until it has `triangles` or fewer, or up to twice as
+    many where its form allows no fewer."""
     length = np.sqrt(_area(mesh) / triangles * 4 / np.sqrt(3))
     for share in (0.25, 0.4, 0.55, 0.65, 0.75, 0.85, 1.0, 1.2, 1.4):
         mesh = collapse_short(mesh, share * length)
         if len(mesh.faces) <= triangles:
             return mesh
-    raise BadInput(
-        f"{triangles} triangles are too few to follow this surface; ask for {2 * len(mesh.faces)} or more"
-    )
+    if len(mesh.faces) <= 2 * triangles:
+        return mesh
+    raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for {len(mesh.faces)} or more")
 
 
 def _area(mesh: Mesh) -> float:

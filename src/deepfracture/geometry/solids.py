@@ -66,9 +66,7 @@ def turned(pieces: Sequence[Floats], length: float) -> Mesh:
 
     pieces: curves (n, 2) of (radius, z) that join end to end from the axis at the bottom, round
     the outside, back to the axis; corners where they join stay sharp. length: edge length."""
-    profile = np.concatenate(
-        [sampled(piece, length * np.sqrt(3) / 2)[:-1] for piece in pieces] + [pieces[-1][-1:]]
-    )
+    profile = np.concatenate([sampled(piece, length * np.sqrt(3) / 2)[:-1] for piece in pieces] + [pieces[-1][-1:]])
     rings: list[Floats] = []
     vertices: list[Floats] = []
     faces: list[tuple[int, int, int]] = []
@@ -77,9 +75,7 @@ def turned(pieces: Sequence[Floats], length: float) -> Mesh:
         count = 1 if radius < 1e-9 else max(6, round(2 * np.pi * radius / length))
         # Every second ring is turned by half a step, so that triangles come out equilateral.
         angles = (np.arange(count) + 0.5 * (n % 2)) * 2 * np.pi / count
-        vertices.append(
-            np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)])
-        )
+        vertices.append(np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)]))
         if n:
             faces += _bridge(rings[-1], angles, start - len(rings[-1]), start)
         rings.append(angles)
@@ -164,9 +160,7 @@ def blocks(lines: Sequence[ArrayLike], boxes: Sequence[tuple[ArrayLike, ArrayLik
             # The lattice point at a cell's lower corner has the cell's index less the padding.
             at = np.argwhere(change == sign) - 1 + step[axis]
             ring = [at, at + u, at + u + v, at + v]
-            quads.append(
-                np.stack([np.ravel_multi_index(p.T, counts) for p in (ring if sign < 0 else ring[::-1])], 1)
-            )
+            quads.append(np.stack([np.ravel_multi_index(p.T, counts) for p in (ring if sign < 0 else ring[::-1])], 1))
     quad = np.concatenate(quads)
     points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     return compact(points, np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]))
@@ -185,8 +179,7 @@ def tube(path: ArrayLike, across: ArrayLike, thickness: tuple[float, float], len
     count = max(8, round(np.pi * sum(thickness) / 2 / length))
     angle = np.arange(count) * 2 * np.pi / count
     rings = path[:, None] + 0.5 * (
-        thickness[0] * np.cos(angle)[:, None] * inward[:, None]
-        + thickness[1] * np.sin(angle)[:, None] * across
+        thickness[0] * np.cos(angle)[:, None] * inward[:, None] + thickness[1] * np.sin(angle)[:, None] * across
     )
     vertices = np.concatenate([rings.reshape(-1, 3), path[[0, -1]]])
     index = np.arange(len(path) * count).reshape(len(path), count)

@@ -51,9 +51,7 @@ def _half_edges(faces: Ints) -> Ints:
 def _undirected(edges: Ints) -> tuple[Ints, Ints]:
     """The index of the undirected edge each half edge belongs to, and how many share it."""
     ordered = np.sort(edges, axis=1)
-    _, which, counts = np.unique(
-        ordered @ [1 + int(edges.max(initial=0)), 1], return_inverse=True, return_counts=True
-    )
+    _, which, counts = np.unique(ordered @ [1 + int(edges.max(initial=0)), 1], return_inverse=True, return_counts=True)
     return which, counts
 
 
@@ -117,13 +115,9 @@ def weld(vertices: NDArray, faces: Ints) -> Mesh:
 
     points, inverse = np.unique(np.asarray(vertices, float), axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(faces, np.int64)]
-    pairs = KDTree(points).query_pairs(
-        WELD * float(np.linalg.norm(np.ptp(points, axis=0))), output_type="ndarray"
-    )
+    pairs = KDTree(points).query_pairs(WELD * float(np.linalg.norm(np.ptp(points, axis=0))), output_type="ndarray")
     if len(pairs):
-        graph = coo_array(
-            (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2
-        )
+        graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
         label = connected_components(graph, directed=False)[1]
         keep = np.unique(label, return_index=True)[1]
         points, faces = points[keep], label[faces].astype(np.int64)
@@ -152,9 +146,7 @@ def split_pinches(mesh: Mesh) -> Mesh:
     one, other = order[:-1][same], order[1:][same]
     flip = edges[one, 0] != edges[other, 0]
     rows = np.concatenate([starts[one], ends[one]])
-    columns = np.concatenate(
-        [np.where(flip, ends[other], starts[other]), np.where(flip, starts[other], ends[other])]
-    )
+    columns = np.concatenate([np.where(flip, ends[other], starts[other]), np.where(flip, starts[other], ends[other])])
     graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(faces.size,) * 2)
     count, fan = connected_components(graph, directed=False)
     if count == len(mesh.vertices):

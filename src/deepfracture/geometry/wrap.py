@@ -36,9 +36,7 @@ def wrap(mesh: Mesh, name: str) -> tuple[Mesh, float]:
         # A core thicker than the ball: not just the sheets themselves.
         if inside.max() > 2 * spacing:
             return _lightened(isosurface(-inside, origin, spacing), 0.1 * spacing), 2 * reach
-    raise BadInput(
-        f"{name}: open too wide to tell inside from outside, even with --repair; close it in a modeller"
-    )
+    raise BadInput(f"{name}: open too wide to tell inside from outside, even with --repair; close it in a modeller")
 
 
 def _outside(away: Floats32, reach: float) -> np.ndarray:

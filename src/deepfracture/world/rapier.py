@@ -33,7 +33,6 @@ class Rapier:
         self._world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -gravity))
         self._world.set_num_threads(1)  # sums in one order: same seed, same bytes
         self._world.integration_parameters.normalized_max_corrective_velocity = SEPARATION
-        self._world.integration_parameters.contact_recycling = False  # piles shiver with old contacts
         self._friction = float(np.sqrt(surface.friction))
         self._restitution = float(np.sqrt(surface.restitution))
         self._handles: dict[int, Any] = {}

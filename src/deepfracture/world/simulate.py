@@ -7,18 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepfracture.types import Breaker, Floats, Fragments, Impact, Material, Recording, Shape
+from deepfracture.types import Breaker, Fragments, Impact, Material, Recording, Shape
 from deepfracture.world.engine import Motion
 from deepfracture.world.recorder import Recorder
 from deepfracture.world.scene import Scene
-from deepfracture.world.stage import Body, Hit, Stage
-
-STILL_SPEED, STILL_SPIN = 0.05, 0.15
-"""What is slower lies still [m/s, rad/s]."""
-STILL_TIME = 0.5
-"""A scene ends when everything has lain still for this long [s]."""
-GONE = 4.0
-"""A ball further than this from everything that can move, and leaving, is not waited for [m]."""
+from deepfracture.world.stage import Hit, Stage
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +85,6 @@ def _run(stage: Stage, breaker: Breaker, rng: np.random.Generator, reference: Sh
     scene = stage.scene
     recorder = Recorder(scene, reference)
     collisions: list[Collision] = []
-    still = 0.0
     recorder.frame(stage.moving())
     for _ in range(int(np.floor(scene.duration * scene.frame_rate))):
         for _ in range(scene.steps_per_second // scene.frame_rate):
@@ -100,10 +92,7 @@ def _run(stage: Stage, breaker: Breaker, rng: np.random.Generator, reference: Sh
                 collisions.append(_ask(stage, recorder, hit, breaker, rng))
         moving = stage.moving()
         recorder.frame(moving)
-        stage.settle(moving, recorder.frame_time)
-        rests = not stage.waiting and _at_rest(moving)
-        still = still + recorder.frame_time if rests else 0.0
-        if still >= STILL_TIME - 1e-9:
+        if stage.settle(moving, recorder.frame_time):
             break
     return Outcome(recorder.recording(), tuple(collisions))
 
@@ -117,20 +106,3 @@ def _ask(stage: Stage, recorder: Recorder, hit: Hit, breaker: Breaker, rng: np.r
     return Collision(
         hit.body.name, hit.body.shape, stage.time, frame, hit.impact, hit.before, hit.after, fragments
     )
-
-
-def _at_rest(moving: list[tuple[Body, Motion]]) -> bool:
-    things = [motion for body, motion in moving if body.kind != "ball"]
-    if not all(_still(motion) for motion in things):
-        return False
-    centres = np.array([motion.position for motion in things])
-    return all(_still(motion) or _leaving(motion, centres) for body, motion in moving if body.kind == "ball")
-
-
-def _still(motion: Motion) -> bool:
-    return bool(np.linalg.norm(motion.velocity) < STILL_SPEED and np.linalg.norm(motion.spin) < STILL_SPIN)
-
-
-def _leaving(motion: Motion, centres: Floats) -> bool:
-    apart = motion.position - centres
-    return bool((np.linalg.norm(apart, axis=1) > GONE).all() and (apart @ motion.velocity > 0).all())

@@ -12,6 +12,7 @@ from deepfracture.types import BadInput, Fragments, Impact, Material, Mesh, Shap
 from deepfracture.world.engine import Engine, Mass, Motion, Surface, cross, open_engine, rotation
 from deepfracture.world.hulls import piece_hulls, whole_hulls
 from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of
+from deepfracture.world.rest import Rest
 from deepfracture.world.scene import Ball, Placed, Scene
 
 TRAVEL = 0.125
@@ -24,6 +25,8 @@ DROWSY_SPEED, DROWSY_SPIN = 0.3, 1.0
 DROWSINESS = 6.0
 """... and loses its velocities at this rate [1/s], as it would by the crumbling of its edges. Rigid bodies
 would rock and spin on a point for very long."""
+GONE = 4.0
+"""A ball further than this from everything, and leaving, is not waited for [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,7 @@ class Stage:
         for i, (placed, shape) in enumerate(zip(scene.shapes, shapes, strict=True)):
             self._add_shape(f"shape{i}", placed, shape, materials)
         self._waiting = sorted(enumerate(scene.balls), key=lambda ball: (ball[1].delay, ball[0]))
+        self._rest = Rest()
         self.time = 0.0
         self._enter_balls()
 
@@ -116,14 +120,29 @@ class Stage:
             added.append(self.bodies[number])
         return added
 
-    def settle(self, moving: list[tuple[Body, Motion]], dt: float) -> None:
-        """Calm down over `dt` what hardly moves, where there is a floor to lie on."""
-        if self.scene.floor is None or self.scene.gravity == 0:
-            return
+    def settle(self, moving: list[tuple[Body, Motion]], dt: float) -> bool:
+        """Calm down what hardly moves, `dt` after the last time. Returns whether everything rests.
+
+        Where there is a floor to lie on, a body at rest is held still and a slow one loses its velocities."""
+        everything = not self._waiting
+        lying = self.scene.floor is not None and self.scene.gravity > 0
         for body, motion in moving:
+            rests = self._rest.update(body.number, motion, body.mass.centre, dt)
+            if body.kind == "ball":
+                everything &= rests or self._leaves(motion, moving)
+                continue
+            everything &= rests
             slow = np.linalg.norm(motion.velocity) < DROWSY_SPEED
-            if body.kind != "ball" and slow and np.linalg.norm(motion.spin) < DROWSY_SPIN:
+            if lying and rests:
+                self.engine.slow(body.number, 0.0)
+            elif lying and slow and np.linalg.norm(motion.spin) < DROWSY_SPIN:
                 self.engine.slow(body.number, float(np.exp(-DROWSINESS * dt)))
+        return everything
+
+    def _leaves(self, ball: Motion, moving: list[tuple[Body, Motion]]) -> bool:
+        """Whether a ball is far from everything that may still matter, and flying away."""
+        apart = ball.position - np.array([m.position for body, m in moving if body.kind != "ball"])
+        return bool((np.linalg.norm(apart, axis=1) > GONE).all() and (apart @ ball.velocity > 0).all())
 
     def remove(self, body: Body) -> None:
         del self.bodies[body.number]
@@ -131,11 +150,6 @@ class Stage:
 
     def moving(self) -> list[tuple[Body, Motion]]:
         return [(b, self.engine.motion(b.number)) for b in self.bodies.values() if b.kind != "floor"]
-
-    @property
-    def waiting(self) -> bool:
-        """Whether a ball is still to come."""
-        return bool(self._waiting)
 
     def _add_shape(self, name: str, placed: Placed, shape: Shape, materials: Mapping[str, Material]) -> None:
         if placed.material not in materials:
