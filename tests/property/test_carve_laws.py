@@ -48,14 +48,10 @@ def test_segmentation_undoes_encoding(seed, count):
     pattern = voronoi_pattern(spread_sites(seed, count, 0.5), distance, grid)
     found = segment(encode(pattern, distance))
     inside = pattern.labels > 0
-    pairs, times = np.unique(
-        np.stack([pattern.labels[inside], found.labels[inside]]), axis=1, return_counts=True
-    )
+    pairs, times = np.unique(np.stack([pattern.labels[inside], found.labels[inside]]), axis=1, return_counts=True)
     big = np.bincount(pattern.labels[inside]) >= 300  # smaller ones may hold no voxel off the boundary
     assert found.count <= pattern.count
-    partner = {
-        true: pairs[1][pairs[0] == true][np.argmax(times[pairs[0] == true])] for true in np.flatnonzero(big)
-    }
+    partner = {true: pairs[1][pairs[0] == true][np.argmax(times[pairs[0] == true])] for true in np.flatnonzero(big)}
     assert len(set(partner.values())) == big.sum()
     right = sum(t for (true, name), t in zip(pairs.T, times, strict=True) if partner.get(true) == name)
     assert right / big[pattern.labels[inside]].sum() > 0.95

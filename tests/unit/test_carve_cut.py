@@ -53,23 +53,21 @@ def assert_outside_is_original(fragments: Fragments, shape: Shape) -> None:
         own = piece.source >= 0
         triangles, source = piece.mesh.triangles[own], piece.source[own]
         corners, normals = shape.mesh.triangles[source], shape.mesh.area_vectors[source]
-        np.add.at(covered, source, np.linalg.norm(piece.mesh.area_vectors[own], axis=1))
+        unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        np.add.at(covered, source, np.einsum("ni,ni->n", piece.mesh.area_vectors[own], unit))
         for a in range(3):  # no corner beyond any side of the source, or off its plane
             inward = np.cross(normals, corners[:, (a + 1) % 3] - corners[:, a])
             inward /= np.linalg.norm(inward, axis=1, keepdims=True)
             offset = triangles - corners[:, [a]]
             assert np.einsum("nci,ni->nc", offset, inward).min() > -1e-9
-            unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
             assert np.abs(np.einsum("nci,ni->nc", offset, unit)).max() < 1e-9
-    np.testing.assert_allclose(
-        covered, np.linalg.norm(shape.mesh.area_vectors, axis=1), rtol=1e-6, atol=1e-12
-    )
+    np.testing.assert_allclose(covered, np.linalg.norm(shape.mesh.area_vectors, axis=1), rtol=1e-6, atol=1e-12)
     points = {tuple(p) for piece in fragments for p in piece.mesh.vertices}
     assert all(tuple(p) in points for p in shape.mesh.vertices[np.unique(shape.mesh.faces)])
 
 
 def assert_neighbours_fit(fragments: Fragments) -> None:
-    """Each inner triangle stands, turned over, in exactly one other fragment."""
+    """Inner faces cancel, and each of their corners belongs to two fragments or more."""
     inner = np.concatenate([piece.mesh.triangles[piece.source < 0] for piece in fragments])
     area = np.concatenate([piece.mesh.area_vectors[piece.source < 0] for piece in fragments])
     assert np.abs(area.sum(axis=0)).max() < 1e-9
@@ -169,19 +167,30 @@ def test_labels_far_from_the_shape_and_dust_change_nothing():
 
 
 def test_crumbs_of_the_cut_join_their_neighbours():
-    """A crack that grazes a bumpy surface leaves caps of less than a voxel on its far side."""
-    shape = slab(0.5)
-    vertices, faces = trimesh.remesh.subdivide_loop(shape.mesh.vertices, shape.mesh.faces, iterations=5)
-    vertices = vertices / np.abs(vertices).max()
-    bumps = 0.02 * np.sin(25 * vertices[:, 0]) * np.sin(25 * vertices[:, 1])
-    bumpy = Shape("bumpy", Mesh(vertices + np.outer(bumps, [0, 0, 1]), faces))
-    distance = signed_distance(bumpy.mesh, GRID)
-    top = bumpy.mesh.vertices[:, 2].max() - 0.025
-    pattern = voronoi_pattern([[0, 0, 2 * top], [0, 0, 0.0]], distance, GRID)
-    fragments = cut(bumpy, pattern, density=1000)
-    assert_fills(fragments, bumpy)
-    assert_outside_is_original(fragments, bumpy)
-    assert min(piece.volume for piece in fragments) > 4 * GRID.spacing**3
+    """Eight voxels make a label, but the surface and the crack leave less than one of their volume."""
+    top = GRID.to_world(40)
+    shape = slab(2 * (top + 0.05 * GRID.spacing))
+    labels = (signed_distance(shape.mesh, GRID) > 0).astype(np.int32)
+    distance = np.full(GRID.shape, GRID.spacing)
+    labels[20:24, 30:32, 40] = 2
+    distance[20:24, 30:32, 40] = 0.01 * GRID.spacing
+    labels[40:] *= 3
+    fragments = cut(shape, FracturePattern(GRID, labels, distance), density=1000)
+    assert len(fragments) == 2
+    assert_fills(fragments, shape)
+    assert_outside_is_original(fragments, shape)
+
+
+def test_a_fragment_inside_another_leaves_a_void():
+    shape = slab(1)
+    labels = (signed_distance(shape.mesh, GRID) > 0).astype(np.int32)
+    labels[28:36, 28:36, 28:36] = 2
+    fragments = cut(shape, FracturePattern(GRID, labels, np.zeros(GRID.shape)), density=1000)
+    assert len(fragments) == 2
+    assert fragments.volume == pytest.approx(shape.mesh.volume, rel=1e-6)
+    small, large = sorted(piece.volume for piece in fragments)
+    assert small == pytest.approx(8**3 * GRID.spacing**3, rel=0.2)
+    assert large == pytest.approx(shape.mesh.volume - small, rel=1e-6)
 
 
 def test_open_mesh_and_bad_density_are_refused():

@@ -97,8 +97,7 @@ def test_doubled_and_degenerate_faces_and_loose_vertices_are_dropped(tmp_path):
     assert (len(read.vertices), len(read.faces)) == (len(CUBE.vertices), len(CUBE.faces))
 
 
-def test_surfaces_that_touch_in_a_point_are_taken_apart(tmp_path):
-    # Two tetrahedra tip to tip are two bodies; a ring of blocks that closes in one point is one.
+def test_bodies_that_touch_in_a_point_are_two(tmp_path):
     low, high = CUBE, CUBE.moved(1.0, (1, 1, 1))
     message = refusal(write_obj(tmp_path / "tips.obj", joined(low, high)))
     assert "2 separate closed bodies" in message

@@ -66,9 +66,7 @@ def test_pieces_that_lie_in_each_other_do_not_collide_at_birth() -> None:
     """An L and the block in its corner: the hull of the L would cover half of the block."""
     import manifold3d
 
-    corner = manifold3d.Manifold.cube([2, 2, 1]) - manifold3d.Manifold.cube([1.6, 1.6, 1]).translate(
-        [0.4, 0.4, 0]
-    )
+    corner = manifold3d.Manifold.cube([2, 2, 1]) - manifold3d.Manifold.cube([1.6, 1.6, 1]).translate([0.4, 0.4, 0])
     raw = corner.to_mesh()
     letter = Mesh(np.asarray(raw.vert_properties, float)[:, :3], np.asarray(raw.tri_verts, np.int64))
     (parts,) = piece_hulls([letter])

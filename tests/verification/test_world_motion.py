@@ -26,9 +26,7 @@ from deepfracture.world.engine import Mass, Motion, Surface, open_engine, rotati
 
 ENGINES = [
     "rapier",
-    pytest.param(
-        "bullet", marks=pytest.mark.skipif(find_spec("pybullet") is None, reason="no pybullet wheel here")
-    ),
+    pytest.param("bullet", marks=pytest.mark.skipif(find_spec("pybullet") is None, reason="no pybullet wheel here")),
 ]
 every_engine = pytest.mark.parametrize("engine", ENGINES)
 STONE = {"stone": Material("stone", 5e10, 0.2, 2400.0, 1e7, 1e6, 10.0)}
@@ -95,9 +93,7 @@ def _run(scene: Scene, shape: Shape, breaker: object = _never, seed: int = 0) ->
 
 @every_engine
 def test_free_fall(engine: str) -> None:
-    scene = Scene(
-        (Placed("bar", "stone", (0, 0, 5), velocity=(1, 0, 2)),), gravity=9.81, duration=1.0, engine=engine
-    )
+    scene = Scene((Placed("bar", "stone", (0, 0, 5), velocity=(1, 0, 2)),), gravity=9.81, duration=1.0, engine=engine)
     (track,) = _run(scene, builtin("bar")).recording.tracks
     t = np.arange(61) / 60
     exact = np.stack([t, 0 * t, 5 + 2 * t - 9.81 * t**2 / 2], axis=1)
@@ -239,9 +235,7 @@ def test_engines_agree_on_the_first_impact() -> None:
 
 
 def test_a_ball_that_misses_hits_nothing() -> None:
-    scene = Scene(
-        (Placed("bar", "stone"),), (Ball(0.1, 7800, (0, -2, 3), (0, 10, 0)),), gravity=0.0, duration=1.0
-    )
+    scene = Scene((Placed("bar", "stone"),), (Ball(0.1, 7800, (0, -2, 3), (0, 10, 0)),), gravity=0.0, duration=1.0)
     assert first_impact(scene, builtin("bar"), materials=STONE) is None
 
 
@@ -269,10 +263,7 @@ def test_breaking_conserves_momentum(engine: str, push: float) -> None:
         if track.kind == "shape":
             continue
         mass = solid if track.kind == "ball" else _piece_mass(pieces, track.name)
-        ends = [
-            p + rotation(q) @ mass.centre
-            for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)
-        ]
+        ends = [p + rotation(q) @ mass.centre for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)]
         after += mass.mass * (ends[1] - ends[0]) / outcome.recording.frame_time
     assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)
 
@@ -327,13 +318,12 @@ def test_fragments_at_rest_stay_at_rest(engine: str, name: str) -> None:
 
 
 def _lowest(recording: Recording) -> float:
-    """Lowest vertex of any fragment over the last second [m]."""
-    low = np.inf
-    for track in recording.tracks:
-        if track.kind == "fragment":
-            last = zip(track.positions[-60:], track.quats_wxyz[-60:], strict=True)
-            low = min(low, *(float((track.mesh.vertices @ rotation(q)[2] + p[2]).min()) for p, q in last))
-    return low
+    """Lowest vertex of any fragment in the last frame [m]."""
+    return min(
+        float((t.mesh.vertices @ rotation(t.quats_wxyz[-1])[2] + t.positions[-1][2]).min())
+        for t in recording.tracks
+        if t.kind == "fragment"
+    )
 
 
 @every_engine
@@ -372,9 +362,7 @@ def test_standing_and_settling_are_not_collisions(engine: str) -> None:
 @every_engine
 def test_same_seed_same_recording(engine: str) -> None:
     shape = builtin("pot")
-    scene = replace(
-        throw_scene("pot", shape, np.random.default_rng(3), material="stone", engine=engine), duration=0.6
-    )
+    scene = replace(throw_scene("pot", shape, np.random.default_rng(3), material="stone", engine=engine), duration=0.6)
     cuts = _planes(np.random.default_rng(5), 4)
     first, second = (_run(scene, shape, _cutter(cuts)).recording for _ in range(2))
     assert len(first.tracks) == len(second.tracks) > 6

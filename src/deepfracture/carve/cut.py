@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.carve.cells import MARGIN, CellField, cell_field
-from deepfracture.carve.nets import REACH, Cells, surface_nets
+from deepfracture.carve.cells import MARGIN, cell_field
+from deepfracture.carve.nets import Cells, surface_nets
 from deepfracture.geometry import mass_properties
-from deepfracture.progress import log
 from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Grid, Mesh, Shape
 
 if TYPE_CHECKING:
@@ -20,12 +19,8 @@ if TYPE_CHECKING:
 
 CRUMB_VOXELS = 4.0
 """A piece below this volume [voxels] that the cut leaves over joins the neighbour it fits best."""
-REACHES = (REACH, 0.25, 0.0)
-"""How far crack vertices may move to be smooth [voxels]: the next when the cells of one overlap."""
 ROUNDING = 1e-13
 """Share of a cell's volume below which a part of it is flat: nothing but rounding."""
-VOLUME_TOL = 1e-9
-"""Relative error of the pieces' volumes above which cells overlap: rounding leaves 1e-13."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +55,9 @@ class _Piece:
 def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
     """Cut the original mesh of a shape along a pattern's cracks.
 
-    Every fragment is one closed 2-manifold component; together they fill the original. Outside, their
-    triangles are the original's, untouched except where a crack crosses them; neighbours hold the same
-    crack vertices. Parts of a label that do not hang together become fragments of their own; dust joins
+    Every fragment is one connected solid with a closed 2-manifold surface; together they fill the original.
+    Outside, their triangles are the original's, untouched except where a crack crosses them; neighbours
+    hold the same crack vertices. Parts of a label that do not hang together become fragments of their own; dust joins
     a neighbour (see `cells.DUST_VOXELS`, `CRUMB_VOXELS`).
 
     Args:
@@ -85,26 +80,13 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
     field = cell_field(shape.mesh, pattern)
     if field.count < 2:
         return Fragments((_fragment(shape.mesh, faces, density),))
-    pieces = _split(body, body_id, field, pattern.grid)
+    solids = _cell_solids(surface_nets(field), pattern.grid, body_id)
+    pieces = [piece for cell in solids for piece in _pieces(body ^ cell, body_id)]
     pieces = _join_crumbs(pieces, CRUMB_VOXELS * pattern.grid.spacing**3, body_id)
-    return Fragments(tuple(_fragment(piece.mesh, np.where(piece.own, piece.names, -1), density) for piece in pieces))
-
-
-def _split(body: Manifold, body_id: int, field: CellField, grid: Grid) -> list[_Piece]:
-    """All pieces of a body in the cells of a field.
-
-    Smooth cells fill space without overlap unless labels change from voxel to voxel (noise): there
-    relaxed surfaces may cross, the volumes no longer add up, and the cells are made again stiffer, in
-    the end as the bare voxels, which always fit."""
-    pieces: list[_Piece] = []
-    for reach in REACHES:
-        cells = surface_nets(field, reach=reach)
-        pieces = [piece for cell in _cell_solids(cells, grid, body_id) for piece in _pieces(body ^ cell, body_id)]
-        lost = abs(sum(piece.volume for piece in pieces) / body.volume() - 1)
-        if lost < VOLUME_TOL:
-            break
-        log.info("cells of reach %.2g voxels overlap: volume is off by %.1e", reach, lost)
-    return pieces
+    sources = [np.where(piece.own, piece.names, -1) for piece in pieces]
+    return Fragments(
+        tuple(_fragment(piece.mesh, source, density) for piece, source in zip(pieces, sources, strict=True))
+    )
 
 
 def _solid(mesh: Mesh, names: np.ndarray, own: np.ndarray, body_id: int) -> Manifold:
@@ -169,22 +151,26 @@ def _encloses(mesh: Mesh, point: np.ndarray) -> bool:
 
 
 def _join_crumbs(pieces: list[_Piece], smallest: float, body_id: int) -> list[_Piece]:
-    """Unite pieces below the volume `smallest` with the piece on the other side of most of their faces.
+    """Unite pieces below the volume `smallest` with the larger piece behind most of their crack faces.
 
-    A crumb that touches no other piece, or only along a line, stays as debris."""
-    kept = sorted(pieces, key=lambda piece: -piece.volume)
-    while kept and kept[-1].volume < smallest:
-        crumb = kept.pop()
-        shared = [len(np.intersect1d(crumb.cracks, piece.cracks, assume_unique=True)) for piece in kept]
-        joined = []
+    A crumb that touches no larger piece, or only along a line, stays as debris."""
+    from manifold3d import Manifold, OpType
+
+    whole = [piece for piece in pieces if piece.volume >= smallest]
+    joining: dict[int, list[_Piece]] = {}
+    kept = []
+    for crumb in (piece for piece in pieces if piece.volume < smallest):
+        shared = [len(np.intersect1d(crumb.cracks, piece.cracks, assume_unique=True)) for piece in whole]
         if max(shared, default=0) > 0:
-            best = int(np.argmax(shared))
-            joined = _pieces(kept[best].solid(body_id) + crumb.solid(body_id), body_id)
-        if len(joined) == 1:
-            kept[best] = joined[0]
+            joining.setdefault(int(np.argmax(shared)), []).append(crumb)
         else:
-            kept.insert(0, crumb)
-            smallest = min(smallest, kept[-1].volume)
+            kept.append(crumb)
+    for n, piece in enumerate(whole):
+        if n in joining:
+            solids = [part.solid(body_id) for part in (piece, *joining[n])]
+            kept += _pieces(Manifold.batch_boolean(solids, OpType.Add), body_id)
+        else:
+            kept.append(piece)
     return kept
 
 

@@ -38,7 +38,7 @@ class Cells:
     """First face of each cell, shape (n + 1,)."""
 
 
-def surface_nets(field: CellField, *, reach: float = REACH) -> Cells:
+def surface_nets(field: CellField) -> Cells:
     """Closed surfaces of all cells of a field.
 
     A vertex stands in every cube of eight voxel centres with more than one label, a quadrilateral
@@ -46,11 +46,6 @@ def surface_nets(field: CellField, *, reach: float = REACH) -> Cells:
     crossings of the cube's edges, then relax along the sheet (along junction lines where three cells
     meet) without leaving their cube. A cell passing twice through a cube gets two vertices there at one
     place, the middle, so that each cell's surface is a closed 2-manifold whatever the labels.
-
-    Args:
-        field: Labelled voxels.
-        reach: How far a vertex may move from the middle of its cube along each axis [voxels], below 0.5.
-            At 0 surfaces are voxel stairs, which never cross; the more, the smoother.
     """
     number, cubes = _number_cubes(field.labels)
     cycles = _cycle_table()
@@ -59,9 +54,9 @@ def surface_nets(field: CellField, *, reach: float = REACH) -> Cells:
     links = _links(field.labels, number, cubes, kind)
     pinched = _pinched(field.labels, cubes, cycles)
     points[pinched], links[pinched] = middle[pinched], -1
-    points = start = np.clip(points, middle - reach, middle + reach)
+    points = start = np.clip(points, middle - REACH, middle + REACH)
     for _ in range(SMOOTHING_STEPS):
-        points = _relax(points, start, trusted, links, middle, reach)
+        points = _relax(points, start, trusted, links, middle)
     quads = _quads(field.labels, number)
     corner, owner = _corners(field.labels, cubes, quads, cycles)
     return Cells(points, *_assemble(points, quads, corner, owner, field.count))
@@ -183,7 +178,6 @@ def _relax(
     trusted: np.ndarray,
     links: np.ndarray,
     middle: np.ndarray,
-    reach: float,
 ) -> np.ndarray:
     """One step of every vertex towards its neighbours' mean and its own start."""
     moved = points.copy()
@@ -204,7 +198,7 @@ def _relax(
             mean = (x if a == 0 else y if a == 1 else z) / count
             goal = pull * start[v, a] + (1 - pull) * mean
             goal = 0.5 * (points[v, a] + goal)
-            moved[v, a] = min(max(goal, middle[v, a] - reach), middle[v, a] + reach)
+            moved[v, a] = min(max(goal, middle[v, a] - REACH), middle[v, a] + REACH)
     return moved
 
 

@@ -95,9 +95,7 @@ class Bullet:
         half = [FLOOR_REACH, FLOOR_REACH, FLOOR_DEPTH]
         shape = self._api.createCollisionShape(self._api.GEOM_BOX, halfExtents=half, **self._world)
         place = [0, 0, height - FLOOR_DEPTH]
-        floor = self._api.createMultiBody(
-            0, shape, basePosition=place, useMaximalCoordinates=1, **self._world
-        )
+        floor = self._api.createMultiBody(0, shape, basePosition=place, useMaximalCoordinates=1, **self._world)
         self._looks(floor, friction / self._friction)
         return self._keep(floor, _CENTRED)
 
@@ -146,9 +144,7 @@ class Bullet:
         self._api.disconnect(**self._world)
         self._folder.cleanup()
 
-    def _add(
-        self, shape: int, mass: float, moments: Floats, frame: _Frame, motion: Motion, damping: float
-    ) -> int:
+    def _add(self, shape: int, mass: float, moments: Floats, frame: _Frame, motion: Motion, damping: float) -> int:
         held = self._api.createMultiBody(mass, shape, useMaximalCoordinates=1, **self._world)
         self._looks(held, self._friction)
         # Mass and inertia in one call: Bullet's bodies turn NaN when only the inertia is given.
@@ -171,9 +167,7 @@ class Bullet:
         return body
 
     def _looks(self, held: int, friction: float) -> None:
-        self._api.changeDynamics(
-            held, -1, lateralFriction=friction, restitution=self._restitution, **self._world
-        )
+        self._api.changeDynamics(held, -1, lateralFriction=friction, restitution=self._restitution, **self._world)
 
     def _shape(self, hulls: list[Floats]) -> int:
         if len(hulls) == 1:

@@ -176,9 +176,7 @@ def _thinned(mesh: Mesh) -> Floats:
         return mesh.triangles
     low, high = mesh.bounds
     cell = np.floor((mesh.vertices - low) / ((high - low).max() / CELLS)).astype(np.int64)
-    _, first, inverse = np.unique(
-        cell @ np.array([1, 1 << 10, 1 << 20]), return_index=True, return_inverse=True
-    )
+    _, first, inverse = np.unique(cell @ np.array([1, 1 << 10, 1 << 20]), return_index=True, return_inverse=True)
     faces = first[inverse.reshape(-1)][mesh.faces]
     a, b, c = faces.T
     return mesh.vertices[faces[(a != b) & (b != c) & (c != a)]]

@@ -9,7 +9,7 @@ import numpy as np
 from deepfracture.types import Floats
 from deepfracture.world.engine import Motion, rotation
 
-SHIFT, TURN = 0.04, 0.08
+SHIFT, TURN = 0.03, 0.06
 """A body that stays this close to where it was [m, rad] ..."""
 REST_TIME = 0.5
 """... for this long has come to rest [s]. It wakes when something moves it further."""

@@ -127,8 +127,7 @@ class Scene:
             raise BadInput(f"restitution and push must be at most 1, got {self.restitution} and {self.push}")
         if self.frame_rate < 1 or self.steps_per_second < 1 or self.steps_per_second % self.frame_rate:
             raise BadInput(
-                f"steps_per_second must be a multiple of frame_rate, got {self.steps_per_second} "
-                f"and {self.frame_rate}"
+                f"steps_per_second must be a multiple of frame_rate, got {self.steps_per_second} and {self.frame_rate}"
             )
         if self.engine not in ENGINES:
             raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {self.engine!r}")

@@ -103,6 +103,4 @@ def _ask(stage: Stage, recorder: Recorder, hit: Hit, breaker: Breaker, rng: np.r
     if fragments is not None:
         recorder.knows(stage.shatter(hit, fragments), fragments)
     frame = recorder.frames - 1
-    return Collision(
-        hit.body.name, hit.body.shape, stage.time, frame, hit.impact, hit.before, hit.after, fragments
-    )
+    return Collision(hit.body.name, hit.body.shape, stage.time, frame, hit.impact, hit.before, hit.after, fragments)

@@ -157,9 +157,7 @@ class Stage:
         properties = mass_properties(shape.mesh, materials[placed.material].density)
         mass = Mass(properties.mass, properties.centre, properties.inertia)
         quat = np.asarray(placed.quat_wxyz) / np.linalg.norm(placed.quat_wxyz)
-        motion = Motion(
-            np.asarray(placed.position), quat, np.asarray(placed.velocity), np.asarray(placed.spin)
-        )
+        motion = Motion(np.asarray(placed.position), quat, np.asarray(placed.velocity), np.asarray(placed.spin))
         number = self.engine.add_body(whole_hulls(shape.mesh).points, mass, motion)
         self.bodies[number] = Body(number, name, "shape", shape.mesh, mass, 1.0, shape)
 

@@ -1,0 +1,45 @@
+"""Coming to rest: by place, not by speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepfracture.world.engine import Motion
+from deepfracture.world.rest import REST_TIME, SHIFT, Rest
+
+DT = 1 / 60
+FRAMES = int(np.ceil(REST_TIME / DT))
+
+
+def _at(x: float, angle: float = 0.0, speed: float = 0.0) -> Motion:
+    quat = np.array([np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
+    return Motion(np.array([x, 0, 0]), quat, np.array([speed, 0, 0]), np.zeros(3))
+
+
+def _ask(rest: Rest, motions: list[Motion], centre: tuple[float, float, float] = (0, 0, 0)) -> list[bool]:
+    return [rest.update(1, motion, np.array(centre), DT) for motion in motions]
+
+
+def test_what_stays_rests_after_a_while() -> None:
+    answers = _ask(Rest(), [_at(0.0)] * (FRAMES + 1))
+    assert answers == [False] * FRAMES + [True]
+
+
+def test_a_shiver_is_rest_whatever_its_speed() -> None:
+    shivers = [_at((-1) ** i * SHIFT / 4, speed=1.0) for i in range(FRAMES + 1)]
+    assert _ask(Rest(), shivers)[-1]
+
+
+def test_a_slow_creep_is_not_rest() -> None:
+    creep = [_at(i * 2 * SHIFT / FRAMES) for i in range(3 * FRAMES)]
+    assert not any(_ask(Rest(), creep))
+
+
+def test_turning_on_the_spot_is_not_rest() -> None:
+    assert not any(_ask(Rest(), [_at(0.0, 0.02 * i) for i in range(3 * FRAMES)]))
+
+
+def test_what_is_moved_wakes_up() -> None:
+    rest = Rest()
+    assert _ask(rest, [_at(0.0)] * (FRAMES + 1))[-1]
+    assert _ask(rest, [_at(2 * SHIFT)]) == [False]
