@@ -194,7 +194,7 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        return (self.resolution,) * 3
+        return (self.resolution, self.resolution, self.resolution)
 
     def to_world(self, index: ArrayLike) -> Floats:
         """Body-frame position of voxel centres (or of fractional indices)."""

@@ -131,26 +131,27 @@ def test_impulse_is_m_dv_and_momentum_is_conserved(engine: str, name: str) -> No
     shape = builtin(name)
     mass = _mass(shape)
     rng = np.random.default_rng(4)
-    for _ in range(3):
+    square = 0
+    for _ in range(6):
         scene = learning_scene(name, shape, rng, material="stone", engine=engine)
-        outcome = _run(scene, shape)
-        hit = outcome.collisions[0]
+        hit = _run(scene, shape).collisions[0]
         ball = scene.balls[0]
         impulse = (hit.impact.magnitude[:, None] * hit.impact.direction).sum(axis=0)
         turn = rotation(hit.before.quat_wxyz)
         gained = mass.mass * (hit.after.velocity - hit.before.velocity)
         assert np.linalg.norm(turn @ impulse - gained) < 0.05 * np.linalg.norm(gained)
-        # The closed form for a rigid body struck without friction, within what friction can add.
-        normal = turn @ hit.impact.normal[0]
-        arm = turn @ (hit.impact.position[0] - mass.centre)
-        lever = np.cross(arm, normal)
-        inertia = turn @ mass.inertia @ turn.T
-        soft = 1 / ball.mass + 1 / mass.mass + lever @ np.linalg.solve(inertia, lever)
-        closing = -np.array(ball.velocity) @ normal
-        along = -gained @ normal
-        assert along == pytest.approx((1 + scene.restitution) * closing / soft, rel=0.12)
-        assert hit.impact.speed == pytest.approx(closing, rel=0.1)
         assert hit.impact.radius == ball.radius
+        if len(hit.impact.magnitude) > 1 or hit.impact.direction[0] @ hit.impact.normal[0] > -0.95:
+            continue
+        # One blow, nearly square: the closed form for rigid bodies without friction.
+        square += 1
+        normal = turn @ hit.impact.normal[0]
+        lever = np.cross(turn @ (hit.impact.position[0] - mass.centre), normal)
+        soft = 1 / ball.mass + 1 / mass.mass + lever @ np.linalg.solve(turn @ mass.inertia @ turn.T, lever)
+        closing = -np.array(ball.velocity) @ normal
+        assert -gained @ normal == pytest.approx((1 + scene.restitution) * closing / soft, rel=0.1)
+        assert hit.impact.speed == pytest.approx(closing, rel=0.1)
+    assert square >= 2
 
 
 @every_engine

@@ -307,21 +307,6 @@ def _corners(
 
 
 @njit(cache=True)
-def _diagonal(points: np.ndarray, quad: np.ndarray) -> int:
-    """0 to split a quadrilateral from its first corner, 1 from its second.
-
-    The shorter diagonal; but seen along the grid edge that it crosses, a quadrilateral with a reflex
-    corner must be split there, or one half would be folded over."""
-    p, q = (quad[6] + 1) % 3, (quad[6] + 2) % 3
-    for n in range(4):
-        a, b, c = points[quad[n - 1]], points[quad[n]], points[quad[(n + 1) % 4]]
-        if (b[p] - a[p]) * (c[q] - b[q]) - (b[q] - a[q]) * (c[p] - b[p]) <= 0:
-            return n % 2
-    first = ((points[quad[0]] - points[quad[2]]) ** 2).sum()
-    return int(first > ((points[quad[1]] - points[quad[3]]) ** 2).sum())
-
-
-@njit(cache=True)
 def _pinched(labels: np.ndarray, cubes: np.ndarray, cycles: np.ndarray) -> np.ndarray:
     """Whether some cell passes twice through each cube."""
     pinched = np.zeros(len(cubes), np.bool_)
@@ -359,7 +344,8 @@ def _assemble(
     names = np.empty(face_start[-1], np.int64)
     place = face_start.copy()
     for n in range(len(quads)):
-        flip = _diagonal(points, quads[n])
+        first = ((points[quads[n, 0]] - points[quads[n, 2]]) ** 2).sum()
+        flip = int(first > ((points[quads[n, 1]] - points[quads[n, 3]]) ** 2).sum())
         for side in range(2):
             if owner[n, side] == 0:
                 continue

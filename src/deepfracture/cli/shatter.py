@@ -172,7 +172,9 @@ def _summary(report: dict, outcome: Outcome) -> str:
         return f"{report['shape']}: nothing touched it"
     hit = f"impulse {report['impulse']:.0f} N s, sigma_1 {report['sigma_1']:.3g} Pa"
     if not report["broke"]:
-        return f"{report['shape']}: {hit}: it did not break ({report['material']}, strength {report['strength']:.3g} Pa)"
+        return (
+            f"{report['shape']}: {hit}: it did not break ({report['material']}, strength {report['strength']:.3g} Pa)"
+        )
     return (
         f"{report['shape']}: {hit}: {len(report['fragments'])} fragments, volume kept to "
         f"{report['volume_error']:.1e}, {outcome.recording.duration:.1f} s of animation"

@@ -54,9 +54,7 @@ def exploded(
     _save(studio.picture(turns, offsets, np.ones(len(fragments), bool)), path)
 
 
-def before_hit_after(
-    recording: Recording, path: str | os.PathLike, *, size: tuple[int, int] = (480, 400)
-) -> None:
+def before_hit_after(recording: Recording, path: str | os.PathLike, *, size: tuple[int, int] = (480, 400)) -> None:
     """A PNG strip of three pictures: just before the break, just after it, and the end.
 
     `size` is that of one picture. Nothing broke: the beginning, the middle and the end."""

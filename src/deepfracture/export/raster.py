@@ -96,9 +96,7 @@ def triple(values: NDArray) -> Triple:
 def taps(count: int = 16) -> Floats32:
     """Vogel 1979: a sunflower's spiral fills a disc evenly."""
     k, ring = np.arange(count), int(RING * count)
-    radius = np.where(
-        k < ring, 0.95 - 0.2 * k / ring, np.sqrt(np.maximum(k - ring + 0.5, 0) / (count - ring))
-    )
+    radius = np.where(k < ring, 0.95 - 0.2 * k / ring, np.sqrt(np.maximum(k - ring + 0.5, 0) / (count - ring)))
     angle = np.where(k < ring, 2 * np.pi * k / ring, np.pi * (3 - np.sqrt(5)) * k)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1).astype(F)
 
@@ -366,9 +364,7 @@ def shade(samples, depth, triangle, screen, bodies, view, lights, shadows, encod
         count = 1 if _alike(depth, triangle, bodies.patch, top, left, samples) else samples * samples
         for k in range(count):
             y, x = (top + k // samples, left + k % samples) if count > 1 else (top + step, left + step)
-            light = _sample(
-                F(x) + F(0.5), F(y) + F(0.5), triangle[y, x], middle, screen, bodies, view, lights, shadows
-            )
+            light = _sample(F(x) + F(0.5), F(y) + F(0.5), triangle[y, x], middle, screen, bodies, view, lights, shadows)
             red += min(light[0], ONE)
             green += min(light[1], ONE)
             blue += min(light[2], ONE)

@@ -74,12 +74,12 @@ def prepare_body(shape: Shape, material: Material, grid: Grid) -> FractureBody:
     fine = Lattice.fine(grid)
     coarse = fine.coarsened(STRESS_CELLS)
     sdf, rough = (
-        signed_distance_lattice(shape.mesh, np.full(3, lattice.first_centre), lattice.spacing, (lattice.n,) * 3)
+        signed_distance_lattice(shape.mesh, np.full(3, lattice.first_centre), lattice.spacing, lattice.shape)
         for lattice in (fine, coarse)
     )
     known = rough > SKIN * coarse.spacing
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
     return FractureBody(
         shape=shape,
         material=material,

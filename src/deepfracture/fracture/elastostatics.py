@@ -193,10 +193,7 @@ def _balance(body: ElasticBody, tractions: Floats) -> tuple[Floats, Floats, Floa
         return np.concatenate([force.sum(axis=0), np.cross(arms, force).sum(axis=0)])
 
     modes = np.stack(
-        [
-            np.einsum("nij,nj->ni", inertia_stress(arms, mode[:3], mode[3:], body.poisson), normals)
-            for mode in np.eye(6)
-        ]
+        [np.einsum("nij,nj->ni", inertia_stress(arms, mode[:3], mode[3:], body.poisson), normals) for mode in np.eye(6)]
     )
     load = resultant(tractions)
     amount = np.linalg.solve(np.stack([resultant(mode) for mode in modes], axis=1), load).astype(float)

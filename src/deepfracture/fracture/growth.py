@@ -52,9 +52,8 @@ class Front:
 
     @staticmethod
     def on(lattice: Lattice) -> Front:
-        shape = (lattice.n,) * 3
-        arrival, mouth, drive = (np.zeros(shape, np.float32) for _ in range(3))
-        return Front(np.zeros(shape, np.uint8), arrival, mouth, drive, np.zeros(shape, np.uint8))
+        arrival, mouth, drive = (np.zeros(lattice.shape, np.float32) for _ in range(3))
+        return Front(np.zeros(lattice.shape, np.uint8), arrival, mouth, drive, np.zeros(lattice.shape, np.uint8))
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,8 @@ def _on_sheet(sheet, x, y, z, ratio, h):
 
 @njit(cache=True)
 def march(
-    sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, broken, seed, start, h, ratio, rise, speed, longest
+    sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, broken,
+    seed, start, h, ratio, rise, speed, longest,
 ):  # fmt: skip
     """Fast marching (a heap of arrival times) of the front from `seed` (fractional fine index).
 
@@ -201,14 +201,24 @@ def march(
 
 
 def grow(
-    front: Front, sdf: Floats32, wall: Floats32, stress: Floats32, sheet: Floats32, toughness: Floats32, *,
-    seed: Floats, start: float, fine: Lattice, coarse: Lattice, ramp: Ramp,
+    front: Front,
+    sdf: Floats32,
+    wall: Floats32,
+    stress: Floats32,
+    sheet: Floats32,
+    toughness: Floats32,
+    *,
+    seed: Floats,
+    start: float,
+    fine: Lattice,
+    coarse: Lattice,
+    ramp: Ramp,
 ) -> Crack:
     """Grow one crack from `seed` [m] at time `start` [s]; marks nothing as broken."""  # fmt: skip
     index = (seed - fine.first_centre) / fine.spacing
     cells, found = march(
-        sdf, wall, stress, sheet, toughness, front.status, front.arrival, front.mouth, front.drive, front.broken, index, start,
-        fine.spacing, fine.spacing / coarse.spacing, ramp.rise, ramp.speed, ramp.longest,
+        sdf, wall, stress, sheet, toughness, front.status, front.arrival, front.mouth, front.drive, front.broken,
+        index, start, fine.spacing, fine.spacing / coarse.spacing, ramp.rise, ramp.speed, ramp.longest,
     )  # fmt: skip
     voxels = np.array(cells, np.int64).reshape(-1, 3)
     values = np.array(found, float).reshape(-1, 4)

@@ -33,12 +33,16 @@ class Lattice:
         return Lattice(n, self.n * self.spacing / n, self.low)
 
     @property
+    def shape(self) -> tuple[int, int, int]:
+        return (self.n, self.n, self.n)
+
+    @property
     def first_centre(self) -> float:
         return self.low + 0.5 * self.spacing
 
     def centres(self) -> Floats:
         """Cell centres, shape (n, n, n, 3)."""
-        axis = self.first_centre + self.spacing * np.arange(self.n)
+        axis = self.first_centre + self.spacing * np.arange(self.n, dtype=float)
         return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
 
 

@@ -30,7 +30,9 @@ def _crossings(voxels, offset, normals, status, position, cut):
                 continue
             cut[i, j, k] |= 1 << axis
             share = abs(offset[q]) / (abs(offset[q]) + abs(offset[other]) + 1e-12)
-            faces.append((float(i), float(j), float(k), float(axis), share, normals[q, 0], normals[q, 1], normals[q, 2]))
+            faces.append(
+                (float(i), float(j), float(k), float(axis), share, normals[q, 0], normals[q, 1], normals[q, 2])
+            )
     return faces
 
 

@@ -45,9 +45,9 @@ class SheetSolver:
             target = np.moveaxis(divergence, axis, 0)
             target[:-1] += flux
             target[1:] -= flux
-        spectrum = dctn(divergence, type=2, norm="ortho") / -self.eigenvalues
+        spectrum = np.asarray(dctn(divergence, type=2, norm="ortho")) / -self.eigenvalues
         spectrum[0, 0, 0] = 0
-        return idctn(spectrum, type=2, norm="ortho")
+        return np.asarray(idctn(spectrum, type=2, norm="ortho"))
 
     def sheet(self, tension: Floats32, weight: Floats32, seed: Floats, normal: Floats) -> Floats32:
         """Potential of the sheet through `seed` with about unit slope; zero level not yet shifted.
@@ -65,6 +65,6 @@ class SheetSolver:
             wanted = trust * sign * tension + (1 - trust) * gradient
             wanted /= np.linalg.norm(wanted, axis=-1, keepdims=True) + 1e-6
             potential = self.potential(wanted.astype(np.float32))
-            gradient = np.stack(np.gradient(potential, self.lattice.spacing), axis=-1)
+            gradient = np.stack([*np.gradient(potential, self.lattice.spacing)], axis=-1)
             gradient = gradient / (np.linalg.norm(gradient, axis=-1, keepdims=True) + 1e-6)
         return potential

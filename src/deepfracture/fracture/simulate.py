@@ -52,12 +52,8 @@ class Variation:
     @staticmethod
     def draw(body: FractureBody, rng: np.random.Generator) -> Variation:
         material = body.material
-        weak = np.exp(
-            material.variation_spread * random_field(body.coarse, material.variation_length, rng)
-        )
-        tough = np.exp(
-            material.variation_spread * random_field(body.coarse, material.variation_length, rng)
-        )
+        weak = np.exp(material.variation_spread * random_field(body.coarse, material.variation_length, rng))
+        tough = np.exp(material.variation_spread * random_field(body.coarse, material.variation_length, rng))
         waves = material.roughness * waviness(body.coarse, WAVES, rng)
         return Variation(weak, (material.toughness * tough).astype(np.float32), waves)
 
@@ -131,9 +127,7 @@ def _sheet(
 ) -> Floats32:  # fmt: skip
     """The wavy sheet through `seed`, its potential zero there."""
     weight = state.clarity * np.clip(state.tension / state.strength, 0, 1)
-    potential = sheets.sheet(
-        state.field(state.direction), state.field(weight), seed, state.direction[node]
-    )
+    potential = sheets.sheet(state.field(state.direction), state.field(weight), seed, state.direction[node])
     shift = rng.integers(0, body.coarse.n, 3)
     wavy = potential + np.roll(variation.waves, shift, axis=(0, 1, 2))
     index = tuple(np.round((seed - body.coarse.first_centre) / body.coarse.spacing).astype(int))
@@ -148,7 +142,7 @@ def _settle(
     cells = tuple(crack.voxels.T)
     within = (np.abs(crack.offset) < 0.6 * body.fine.spacing) & (body.sdf[cells] > 0)
     if within.any():
-        points = body.fine.first_centre + body.fine.spacing * crack.voxels[within]
+        points = body.fine.first_centre + body.fine.spacing * crack.voxels[within].astype(float)
         size = float(np.sqrt(((points - seed) ** 2).sum(1).max()))
         state.relieve(
             points, crack.normals[within], crack.arrival[within], size=max(size, closest), speed=speed, closest=closest

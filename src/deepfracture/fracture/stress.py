@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from deepfracture.types import Floats, Floats32
 
@@ -57,9 +57,7 @@ class StressState:
         least = np.linalg.eigvalsh(full)[:, 0]
         full += (np.maximum(-least, 0) / body.material.compressive_factor)[:, None, None] * np.eye(3)
         n = len(full)
-        state = StressState(
-            body, strength, rise, full, np.zeros(n), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
-        )
+        state = StressState(body, strength, rise, full, np.zeros(n), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf))
         state._refresh(np.arange(n), np.zeros(n))
         return state
 
@@ -89,7 +87,8 @@ class StressState:
         points, normals (k, 3), arrival (k,) [s]: where, how and when it opened. The stress across the crack
         vanishes beside it and returns over a distance of its `size` (Saint-Venant). A node whose own crack
         starts before the wave is there is not stopped by it. Nodes nearer than `closest` start none."""
-        distance, index = cKDTree(points).query(self.body.nodes, distance_upper_bound=2 * size)
+        found = KDTree(points).query(self.body.nodes, distance_upper_bound=2 * size)
+        distance, index = (np.asarray(part) for part in found)
         near = np.isfinite(distance)
         wave = np.full(len(distance), np.inf)
         wave[near] = arrival[index[near]] + distance[near] / speed

@@ -13,11 +13,11 @@ from .lattice import Lattice
 
 def random_field(lattice: Lattice, length: float, rng: np.random.Generator) -> Floats32:
     """A periodic Gaussian field of zero mean and unit variance, correlated over `length` [m], shape (n, n, n)."""
-    noise = np.fft.rfftn(rng.standard_normal((lattice.n,) * 3))
+    noise = np.fft.rfftn(rng.standard_normal(lattice.shape))
     full = np.fft.fftfreq(lattice.n, lattice.spacing) * 2 * np.pi
     half = np.fft.rfftfreq(lattice.n, lattice.spacing) * 2 * np.pi
     squared = full[:, None, None] ** 2 + full[None, :, None] ** 2 + half[None, None, :] ** 2
-    field = np.fft.irfftn(noise * np.exp(-0.25 * squared * length**2), s=(lattice.n,) * 3, axes=(0, 1, 2))
+    field = np.fft.irfftn(noise * np.exp(-0.25 * squared * length**2), s=lattice.shape, axes=(0, 1, 2))
     field -= field.mean()
     return (field / max(field.std(), 1e-12)).astype(np.float32)
 

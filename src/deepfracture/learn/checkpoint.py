@@ -61,9 +61,7 @@ def check(path: Path, arrays: Mapping[str, NDArray], wanted: Mapping[str, tuple[
     for name, shape in wanted.items():
         array = arrays.get(name)
         if array is None or array.shape != shape:
-            raise BadInput(
-                f"{path}: {name} must have shape {shape}, got {None if array is None else array.shape}"
-            )
+            raise BadInput(f"{path}: {name} must have shape {shape}, got {None if array is None else array.shape}")
         if array.dtype not in (np.float16, np.float32) or not np.isfinite(array).all():
             raise BadInput(f"{path}: {name} must be finite float16 or float32, got {array.dtype}")
 

@@ -47,9 +47,7 @@ def shapes(config: Config, channels: int) -> dict[str, tuple[int, ...]]:
 
 def draw_weights(config: Config, channels: int, rng: np.random.Generator) -> dict[str, Floats32]:
     """Random weights to start from."""
-    weights: dict[str, np.ndarray] = {
-        name: np.zeros(shape) for name, shape in shapes(config, channels).items()
-    }
+    weights: dict[str, np.ndarray] = {name: np.zeros(shape) for name, shape in shapes(config, channels).items()}
     weights["siren.weight"] = rng.uniform(-1 / 7, 1 / 7, weights["siren.weight"].shape)
     weights["siren.bias"] = rng.uniform(-1, 1, weights["siren.bias"].shape) / np.sqrt(7)
     scale = config.wavelength * np.exp(config.wave_spread * rng.normal(size=config.basis))

@@ -19,9 +19,7 @@ class Normaliser:
 
     def __post_init__(self) -> None:
         if not 0 < self.max_impulse < np.inf or self.features < 1:
-            raise BadInput(
-                f"max_impulse and features must be positive, got {self.max_impulse}, {self.features}"
-            )
+            raise BadInput(f"max_impulse and features must be positive, got {self.max_impulse}, {self.features}")
 
     def __call__(self, impact: Impact) -> Floats:
         """Rows [p, d, 2 I / I_max - 1], shape (features, 7).

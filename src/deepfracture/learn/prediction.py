@@ -90,18 +90,14 @@ def load_model(path: Path | str) -> Model:
     path = Path(path)
     arrays, facts = read(path, KIND)
     if facts.get("format") != FORMAT:
-        raise BadInput(
-            f"{path}: model format {facts.get('format')}, this program reads {FORMAT}; train it again"
-        )
+        raise BadInput(f"{path}: model format {facts.get('format')}, this program reads {FORMAT}; train it again")
     try:
         config, grid = Config(**facts["config"]), Grid(facts["resolution"])
         normaliser = Normaliser(float(facts["max_impulse"]), config.features)
         name, channels, about = str(facts["shape"]), int(facts["channels"]), dict(facts["about"])
         surface = unpack_distance(arrays["surface"], grid)
     except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(
-            f"{path}: not a model of deepfracture, or damaged ({error}); train it again"
-        ) from error
+        raise BadInput(f"{path}: not a model of deepfracture, or damaged ({error}); train it again") from error
     sizes = network.shapes(config, channels)
     codes = len(arrays.get("codebook", ()))
     check(path, arrays, {**sizes, "codebook": (max(codes, 1), config.code_size)})

@@ -73,9 +73,7 @@ def write_curve(folder: Path, points: list[Point]) -> None:
     left.set(xlabel="seconds", ylabel="cross-entropy [nats]")
     right.plot(seconds, [point.bits for point in points], marker=".", label="memory")
     right.plot(seconds, [point.ceiling for point in points], "--", label="ceiling")
-    right.plot(
-        seconds, [point.count_error for point in points], marker=".", label="fragment count, relative error"
-    )
+    right.plot(seconds, [point.count_error for point in points], marker=".", label="fragment count, relative error")
     right.set(xlabel="seconds", ylabel="variation of information [bits]", ylim=(0, None))
     right.legend()
     image = io.BytesIO()
@@ -83,9 +81,7 @@ def write_curve(folder: Path, points: list[Point]) -> None:
     _replace(folder / "curve.png", image.getvalue())
 
 
-def card_text(
-    dataset: Dataset, config: Config, command: str, seed: int, size: int, last: Point, found: Recall
-) -> str:
+def card_text(dataset: Dataset, config: Config, command: str, seed: int, size: int, last: Point, found: Recall) -> str:
     """The text beside the weights."""
     settings = dataset.settings
     slow, fast = settings.speed_range

@@ -21,7 +21,7 @@ class Config:
     """Width of the layers that read the code."""
     basis: int = 384
     """Waves that the decoder composes the fragments of."""
-    wavelength: float = 0.2
+    wavelength: float = 0.13
     """Inverse of the waves' median wave number along an axis [m]."""
     wave_spread: float = 0.5
     """Standard deviation of the logarithm of that scale."""
@@ -29,7 +29,7 @@ class Config:
     """Most fragments that have a channel of their own; beyond, fragments far apart share one."""
     batch: int = 8
     """Patterns in a step."""
-    points: int = 4000
+    points: int = 2000
     """Random voxels in a step."""
     learning_rate: float = 3e-3
     """At the start; it falls along a cosine."""

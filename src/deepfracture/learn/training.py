@@ -53,9 +53,7 @@ class Budget:
     def __post_init__(self) -> None:
         given = [value for value in (self.epochs, self.minutes) if value is not None]
         if len(given) != 1 or not 0 < given[0] < np.inf:
-            raise BadInput(
-                f"give epochs or minutes, positive, got epochs={self.epochs}, minutes={self.minutes}"
-            )
+            raise BadInput(f"give epochs or minutes, positive, got epochs={self.epochs}, minutes={self.minutes}")
 
     def part(self, epoch: int, seconds: float) -> float:
         """Share of the training that is over, 0 to 1."""
@@ -190,16 +188,13 @@ class _Lesson:
         channels = min(config.channels, max(pattern.count for pattern in patterns))
         places = anchors(body.points, channels)
         taught = [
-            target_of(pattern, body.voxels, places)
-            for pattern in track(patterns, name="targets", total=len(patterns))
+            target_of(pattern, body.voxels, places) for pattern in track(patterns, name="targets", total=len(patterns))
         ]
         targets = {
             name: np.stack([getattr(target, name) for target in taught])
             for name in ("channel", "next", "share", "weight")
         }
-        return _Lesson(
-            dataset, body, normaliser, np.stack(impulses).astype(np.float32), targets, channels, probes
-        )
+        return _Lesson(dataset, body, normaliser, np.stack(impulses).astype(np.float32), targets, channels, probes)
 
 
 class _Run:
@@ -235,9 +230,7 @@ class _Run:
         count = len(self.impulse)
         per_epoch = math.ceil(count / self.config.batch)
         total = 0.0
-        for step, chosen in enumerate(
-            torch.randperm(count, generator=self.generator).split(self.config.batch)
-        ):
+        for step, chosen in enumerate(torch.randperm(count, generator=self.generator).split(self.config.batch)):
             part = budget.part(self.epoch, self.seconds)
             warm = min(1.0, (self.epoch * per_epoch + step + 1) / self.config.warm_up)
             self.rate = self.config.learning_rate * warm * max(0.5 * (1 + math.cos(math.pi * part)), 0.005)
@@ -251,19 +244,18 @@ class _Run:
             raise RuntimeError(f"training diverged in epoch {self.epoch}; try a lower learning rate")
 
     def _step(self, chosen: torch.Tensor) -> float:
-        where = torch.randint(len(self.points), (self.config.points,), generator=self.generator).to(
-            self.device
-        )
+        """One update: the chosen patterns at the same random voxels, so that one product gives all scores."""
+        where = torch.randint(len(self.points), (self.config.points,), generator=self.generator).to(self.device)
         codes = torch.cat([self.impulse[chosen], self.weights["codes"][chosen]], dim=1)
-        scores = network.basis(self.weights, self.points[where], torch) @ network.compose(
-            self.weights, codes, torch
+        mixing = network.compose(self.weights, codes, torch).transpose(0, 1)  # (basis, patterns, channels)
+        scores = network.basis(self.weights, self.points[where], torch) @ mixing.reshape(len(mixing), -1)
+        scores = scores.view(len(where), len(chosen), -1)
+        rows = chosen[None, :], where[:, None]
+        mine, beyond = (
+            scores.gather(2, self.targets[name][rows].long()[..., None])[..., 0] for name in ("channel", "next")
         )
-        chances = torch.log_softmax(scores, dim=-1)  # (patterns, points, channels)
-        rows = chosen[:, None], where[None, :]
         share, weight = self.targets["share"][rows].float(), self.targets["weight"][rows].float()
-        mine = chances.gather(2, self.targets["channel"][rows].long()[..., None])[..., 0]
-        beyond = chances.gather(2, self.targets["next"][rows].long()[..., None])[..., 0]
-        loss = -(weight * (share * mine + (1 - share) * beyond)).mean()
+        loss = (weight * (scores.logsumexp(dim=-1) - share * mine - (1 - share) * beyond)).mean()
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self.optimiser.step()
@@ -274,9 +266,7 @@ class _Run:
         weights = {name: value.detach().cpu().numpy().copy() for name, value in self.weights.items()}
         codes = np.concatenate([self.impulse.cpu().numpy(), weights.pop("codes")], axis=1)
         lesson = self.lesson
-        return Model(
-            lesson.dataset.shape.name, self.config, lesson.normaliser, lesson.body, weights, codes, {}
-        )
+        return Model(lesson.dataset.shape.name, self.config, lesson.normaliser, lesson.body, weights, codes, {})
 
     def look(self) -> None:
         """Measure the memory and put it on the curve."""
@@ -329,18 +319,14 @@ class _Run:
         arrays, facts = read(path, KIND)
         for key, value in self._facts().items():
             if facts.get(key) != value:
-                raise BadInput(
-                    f"{path}: of a run with other {key}; use another folder, or start anew without resume"
-                )
+                raise BadInput(f"{path}: of a run with other {key}; use another folder, or start anew without resume")
         try:
             with torch.no_grad():
                 for name, value in self.weights.items():
                     value.copy_(torch.from_numpy(arrays[f"weights.{name}"]))
             for name in self.learned:
                 self.optimiser.state[self.weights[name]] = {
-                    key: torch.from_numpy(arrays[f"adam.{name}.{key}"]).to(
-                        "cpu" if key == "step" else self.device
-                    )
+                    key: torch.from_numpy(arrays[f"adam.{name}.{key}"]).to("cpu" if key == "step" else self.device)
                     for key in ("step", "exp_avg", "exp_avg_sq")
                 }
             self.generator.set_state(torch.from_numpy(arrays["generator"]))

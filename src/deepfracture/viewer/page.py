@@ -83,9 +83,7 @@ def _body(scene: SceneApi, track: Track, name: str) -> FrameHandle:
         visible=exists(track, 0),
     )
     for surface in track_surfaces(track):
-        scene.add_mesh_simple(
-            f"{name}/{surface.look}", surface.vertices, surface.faces, color=COLOURS[surface.look]
-        )
+        scene.add_mesh_simple(f"{name}/{surface.look}", surface.vertices, surface.faces, color=COLOURS[surface.look])
     return frame
 
 
