@@ -132,7 +132,7 @@ def test_impulse_is_m_dv_and_momentum_is_conserved(engine: str, name: str) -> No
     mass = _mass(shape)
     rng = np.random.default_rng(4)
     square = 0
-    for _ in range(6):
+    for _ in range(8):
         scene = learning_scene(name, shape, rng, material="stone", engine=engine)
         hit = _run(scene, shape).collisions[0]
         ball = scene.balls[0]
@@ -141,7 +141,7 @@ def test_impulse_is_m_dv_and_momentum_is_conserved(engine: str, name: str) -> No
         gained = mass.mass * (hit.after.velocity - hit.before.velocity)
         assert np.linalg.norm(turn @ impulse - gained) < 0.05 * np.linalg.norm(gained)
         assert hit.impact.radius == ball.radius
-        if len(hit.impact.magnitude) > 1 or hit.impact.direction[0] @ hit.impact.normal[0] > -0.95:
+        if len(hit.impact.magnitude) > 1 or hit.impact.direction[0] @ hit.impact.normal[0] > -0.98:
             continue
         # One blow, nearly square: the closed form for rigid bodies without friction.
         square += 1

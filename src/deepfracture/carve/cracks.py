@@ -89,6 +89,7 @@ def _offer(index: np.ndarray, nearest: np.ndarray, i: int, j: int, k: int, p: in
 def _propagate(index: np.ndarray, nearest: np.ndarray) -> None:
     """One raster pass forward and one backward: each voxel asks the 13 neighbours already seen."""
     r = nearest.shape[0]
+    squared = np.full(nearest.shape, np.inf, np.float32)
     for step in (1, -1):
         start = 0 if step == 1 else r - 1
         for ii in range(r):
@@ -97,12 +98,25 @@ def _propagate(index: np.ndarray, nearest: np.ndarray) -> None:
                 j = start + step * jj
                 for kk in range(r):
                     k = start + step * kk
+                    best = nearest[i, j, k]
+                    least = squared[i, j, k]
+                    if best >= 0 and least == np.inf:
+                        least = _squared(index, best, i, j, k)
+                    tried = best
                     for n in range(13):
                         x = i + step * (n // 9 - 1)
                         y = j + step * (n // 3 % 3 - 1)
                         z = k + step * (n % 3 - 1)
-                        if 0 <= x < r and 0 <= y < r and 0 <= z < r and nearest[x, y, z] >= 0:
-                            _offer(index, nearest, i, j, k, nearest[x, y, z])
+                        if not (0 <= x < r and 0 <= y < r and 0 <= z < r):
+                            continue
+                        p = nearest[x, y, z]
+                        if p in (best, tried):  # in cells of one nearest point nothing is left to do
+                            continue
+                        tried = p
+                        if p >= 0 and _squared(index, p, i, j, k) < least:
+                            best, least = p, _squared(index, p, i, j, k)
+                    nearest[i, j, k] = best
+                    squared[i, j, k] = least
 
 
 @njit(cache=True)

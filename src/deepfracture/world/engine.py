@@ -116,7 +116,7 @@ FLOOR_REACH = 100.0
 """Half the side of the floor [m]."""
 FLOOR_DEPTH = 5.0
 """Half the depth of the floor [m]: nothing gets through."""
-ROLLING = 0.6
+ROLLING = 1.5
 """Rate at which balls lose their spin [1/s]; without it a ball rolls for ever."""
 TURNING = 0.1
 """The same for everything else: fragments that spin on a point come to rest."""

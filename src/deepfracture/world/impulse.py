@@ -19,8 +19,10 @@ from deepfracture.world.engine import Contact, Motion, rotation
 
 LEAST_CLOSING = 0.3
 """Slower contacts are resting or settling, not collisions [m/s]: a fall of half a centimetre."""
-FLOOR_RADIUS = 100.0
-"""Radius of curvature that stands for a flat floor [m]."""
+FLOOR_RADIUS = 0.3
+"""Radius of curvature that stands for a flat floor [m]. In a contact only the relative curvature counts, and
+a breaker takes the body to be flat: what meets a floor is not, it is a rim, an edge or a belly of a body
+two metres long."""
 SPOT = 0.05
 """Contacts of one striker nearer to each other are one [m]: neighbouring convex parts share a blow."""
 BALL_SPOT = 0.3
