@@ -24,9 +24,7 @@ def random_sample(rng: np.random.Generator, resolution: int = 32) -> Sample:
     direction = rng.normal(size=(2, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     magnitude = np.sort(rng.uniform(1, 100, 2))[::-1]
-    impact = Impact(
-        rng.uniform(-1, 1, (2, 3)), direction, magnitude, -direction, float(rng.uniform(1, 9)), 0.2
-    )
+    impact = Impact(rng.uniform(-1, 1, (2, 3)), direction, magnitude, -direction, float(rng.uniform(1, 9)), 0.2)
     grid = Grid(resolution)
     labels = np.repeat(rng.integers(0, 5, (2, *grid.shape[1:])), resolution // 2, axis=0)
     distance = rng.uniform(0, 1, grid.shape).astype(np.float16)
@@ -200,9 +198,7 @@ def test_a_damaged_sample_is_one_line(tmp_path: Path, finished: Path, damage: st
     shutil.copytree(finished, folder)
     sample = sorted((folder / "samples").iterdir())[0]
     if damage == "chunk":
-        chunk = next(
-            path for path in (sample / "labels").rglob("*") if path.is_file() and path.name != "zarr.json"
-        )
+        chunk = next(path for path in (sample / "labels").rglob("*") if path.is_file() and path.name != "zarr.json")
         chunk.write_bytes(b"nonsense")
     else:
         (sample / "zarr.json").write_text("{}")

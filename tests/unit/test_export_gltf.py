@@ -29,9 +29,7 @@ class Reader:
         accessor = self.doc.accessors[index]
         view = self.doc.bufferViews[accessor.bufferView]
         width = WIDTHS[accessor.type]
-        flat = np.frombuffer(
-            self.blob, DTYPES[accessor.componentType], accessor.count * width, view.byteOffset
-        )
+        flat = np.frombuffer(self.blob, DTYPES[accessor.componentType], accessor.count * width, view.byteOffset)
         return flat.reshape(accessor.count, width)
 
     def keys(self, node, path):

@@ -44,8 +44,6 @@ def test_triangles_and_their_order_survive_the_split():
 
 
 def test_faces_without_area_keep_unit_normals():
-    mesh = Mesh(
-        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], float), np.array([[0, 1, 2], [0, 1, 3]])
-    )
+    mesh = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], float), np.array([[0, 1, 2], [0, 1, 3]]))
     (surface,) = surfaces(mesh, None)
     assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1)

@@ -60,9 +60,7 @@ def test_gate_is_the_papers_formula() -> None:
 
 def test_gate_counts_only_what_presses() -> None:
     slanted = _impact(50.0, direction=(0.6, 0, -0.8))
-    assert critical_stress(slanted, STONE, 12.0) == pytest.approx(
-        0.8 * critical_stress(_impact(50.0), STONE, 12.0)
-    )
+    assert critical_stress(slanted, STONE, 12.0) == pytest.approx(0.8 * critical_stress(_impact(50.0), STONE, 12.0))
     assert critical_stress(_impact(50.0, direction=(0, 0, 1)), STONE, 12.0) == 0
 
 

@@ -31,9 +31,7 @@ torch = pytest.importorskip("torch")
 torch.set_num_threads(1)  # threads wait for each other longer than such small steps take
 
 GRID = Grid(32)
-SMALL = Config(
-    impulse_size=32, hidden=32, basis=160, wavelength=0.25, batch=4, points=1500, learning_rate=1e-2
-)
+SMALL = Config(impulse_size=32, hidden=32, basis=160, wavelength=0.25, batch=4, points=1500, learning_rate=1e-2)
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
 
 
@@ -107,9 +105,7 @@ def test_a_run_leaves_curve_and_card(run: Path) -> None:
 
 
 def test_the_sine_layer_and_the_waves_stay_as_drawn(run: Path) -> None:
-    drawn = network.draw_weights(
-        SMALL, load_model(run / "model.safetensors").channels, np.random.default_rng(0)
-    )
+    drawn = network.draw_weights(SMALL, load_model(run / "model.safetensors").channels, np.random.default_rng(0))
     weights = load_model(run / "model.safetensors").weights
     for name in network.FROZEN:
         assert (weights[name] == drawn[name]).all()
@@ -139,9 +135,7 @@ def test_a_resumed_run_ends_like_an_unbroken_one(
     for name, value in whole.weights.items():
         assert (halves.weights[name] == value).all(), name
     assert (whole.codebook == halves.codebook).all()
-    columns = [
-        [line.split(",")[2] for line in (tmp_path / n / "curve.csv").open()] for n in ("whole", "halves")
-    ]
+    columns = [[line.split(",")[2] for line in (tmp_path / n / "curve.csv").open()] for n in ("whole", "halves")]
     assert columns[0] == columns[1]
 
 

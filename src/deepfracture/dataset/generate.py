@@ -119,9 +119,7 @@ def _run(
             for future in track(as_completed(futures), name="collisions", total=len(futures)):
                 future.result()
         except BrokenProcessPool as error:
-            raise RuntimeError(
-                f"{out}: a worker died, perhaps for lack of memory; run again to go on"
-            ) from error
+            raise RuntimeError(f"{out}: a worker died, perhaps for lack of memory; run again to go on") from error
         finally:  # on an error or Ctrl-C drop what has not started; what runs is still stored
             pool.shutdown(wait=True, cancel_futures=True)
 

@@ -142,9 +142,7 @@ def create(path: Path, settings: Settings) -> None:
         have = open_dataset(path).settings.manifest()
         for key, value in wanted.items():
             if have[key] != value:
-                raise BadInput(
-                    f"{path}: made with another {_difference(key, have[key], value)}; use another folder"
-                )
+                raise BadInput(f"{path}: made with another {_difference(key, have[key], value)}; use another folder")
         return
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise BadInput(f"{path}: exists and is not a data set; use another folder")
@@ -196,13 +194,9 @@ def _read_impact(folder: Path) -> tuple[Impact, int]:
     try:
         about = json.loads((folder / "zarr.json").read_text())["attributes"]
         arrays = {name: about[name] for name in IMPACT_FIELDS}
-        return Impact(**arrays, speed=float(about["speed"]), radius=float(about["radius"])), int(
-            about["seed"]
-        )
+        return Impact(**arrays, speed=float(about["speed"]), radius=float(about["radius"])), int(about["seed"])
     except (ValueError, KeyError, TypeError, OSError) as error:
-        raise BadInput(
-            f"{folder}: damaged sample: {_one_line(error)}; delete it and simulate again"
-        ) from error
+        raise BadInput(f"{folder}: damaged sample: {_one_line(error)}; delete it and simulate again") from error
 
 
 def _read_sample(folder: Path, grid: Grid) -> Sample:
@@ -214,9 +208,7 @@ def _read_sample(folder: Path, grid: Grid) -> Sample:
         labels, distance = np.asarray(group["labels"]), np.asarray(group["distance"])
         return Sample(impact, FracturePattern(grid, labels, distance), seed)
     except Exception as error:  # zarr and its codecs raise errors of many kinds on damaged files
-        raise BadInput(
-            f"{folder}: damaged sample: {_one_line(error)}; delete it and simulate again"
-        ) from error
+        raise BadInput(f"{folder}: damaged sample: {_one_line(error)}; delete it and simulate again") from error
 
 
 def _settings(path: Path, manifest: dict[str, Any]) -> Settings:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.carve import distance_to_cracks
+from deepfracture.geometry import distance_to_samples
 from deepfracture.progress import stage
 from deepfracture.types import Floats, Floats32, FracturePattern, Impact
 
@@ -165,5 +165,5 @@ def _pattern(body: FractureBody, cut: np.ndarray, faces: Floats) -> FracturePatt
     where = index[parted] + np.eye(3)[axis[parted]] * faces[parted, 4, None]
     points = body.fine.first_centre + body.fine.spacing * where
     inner = (slice(MARGIN, -MARGIN),) * 3
-    distance = distance_to_cracks(body.grid, points, faces[parted, 5:])
+    distance = distance_to_samples(body.grid, points, faces[parted, 5:])
     return FracturePattern(body.grid, labels[inner], distance)

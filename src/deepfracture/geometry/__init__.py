@@ -14,6 +14,7 @@ from deepfracture.geometry.mass import MassProperties, mass_properties
 from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.read import check_solid, load_shape, read_mesh, read_triangles
 from deepfracture.geometry.remesh import remesh
+from deepfracture.geometry.sampled import distance_to_samples
 from deepfracture.geometry.topology import Faults, faults
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "check_solid",
     "closest",
     "distance_lattice",
+    "distance_to_samples",
     "faults",
     "load_shape",
     "mass_properties",

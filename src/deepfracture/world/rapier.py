@@ -21,8 +21,9 @@ from deepfracture.world.engine import (
     rotation,
 )
 
-SEPARATION = 0.5
-"""Greatest speed at which overlapping bodies are moved apart [m/s]; Rapier's own 3 m/s looks like a blast."""
+SEPARATION = 0.05
+"""Greatest speed at which overlapping bodies are moved apart [m/s]; it stays with them, and with the 3 m/s of
+Rapier itself fragments whose hulls overlap a little burst apart."""
 SLOP = 0.001
 """Overlap that is left alone [m]."""
 BODY_STIFFNESS, FLOOR_STIFFNESS = 120.0, 240.0

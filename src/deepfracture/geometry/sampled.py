@@ -1,4 +1,4 @@
-"""Distances to crack surfaces: given as oriented points, or as the walls of Voronoi cells."""
+"""Distances to surfaces that are known by oriented points, as cracks are."""
 
 from __future__ import annotations
 
@@ -7,26 +7,25 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from deepfracture.carve.parts import connected_labels
-from deepfracture.types import BadInput, Floats32, FracturePattern, Grid
+from deepfracture.types import BadInput, Floats32, Grid
 
 FAR = 4.0
-"""Distance [m] that stands for "no crack at all": beyond the diagonal of the grid's box."""
+"""Distance [m] that stands for "no surface at all": beyond the diagonal of the grid's box."""
 SPACING_SAMPLE = 4096
-"""Points whose nearest neighbour is looked up to learn how densely the cracks are sampled."""
+"""Points whose nearest neighbour is looked up to learn how densely the surface is sampled."""
 
 
-def distance_to_cracks(grid: Grid, points: ArrayLike, normals: ArrayLike) -> Floats32:
+def distance_to_samples(grid: Grid, points: ArrayLike, normals: ArrayLike) -> Floats32:
     """Unsigned distance [m] of every voxel centre to a surface sampled by oriented points, shape (r, r, r).
 
     The nearest point is found by vector propagation (Danielsson 1980, two rounds over 26 neighbours);
     the distance is then taken to the tangent disc of that point, whose radius is the sample spacing.
     Near the surface this is the distance to its plane, smooth and without the bias of the samples;
-    past the rim of a crack it is the distance to the rim. FAR where there are no points.
+    past the rim of the surface it is the distance to the rim. FAR where there are no points.
 
     Args:
         grid: Voxels to fill.
-        points: On the crack surfaces [m], body frame, shape (n, 3).
+        points: On the surface [m], body frame, shape (n, 3).
         normals: Unit normals at the points, either side, shape (n, 3).
 
     Raises:
@@ -137,54 +136,3 @@ def _disc_distance(
                 along = x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2]
                 across = np.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
                 out[i, j, k] = spacing * np.sqrt(along * along + max(across - radius, 0.0) ** 2)
-
-
-def voronoi_pattern(sites: ArrayLike, surface_distance: ArrayLike, grid: Grid) -> FracturePattern:
-    """Voronoi cells of `sites` inside a body, with exact distances to their walls.
-
-    A cell that the body cuts into several connected parts gives one label for each.
-
-    Args:
-        sites: Distinct points [m], body frame, shape (n, 3).
-        surface_distance: Signed distance to the body's surface [m], positive inside, shape (r, r, r).
-        grid: Voxels to fill.
-
-    Raises:
-        BadInput: Wrong shapes, or two sites at one place.
-    """
-    sites = np.ascontiguousarray(sites, float)
-    surface = np.ascontiguousarray(surface_distance, np.float32)
-    if sites.ndim != 2 or sites.shape[1] != 3 or len(sites) == 0:
-        raise BadInput(f"sites must have shape (n, 3) with n > 0, got {sites.shape}")
-    if surface.shape != grid.shape:
-        raise BadInput(f"surface_distance must have shape {grid.shape}, got {surface.shape}")
-    if len(np.unique(sites, axis=0)) < len(sites):
-        raise BadInput("sites must be distinct, got two at one place")
-    cells = np.zeros(grid.shape, np.int32)
-    distance = np.zeros(grid.shape, np.float32)
-    _voronoi(grid.to_index(sites), surface, grid.spacing, cells, distance)
-    return FracturePattern(grid, connected_labels(cells), np.minimum(distance, FAR))
-
-
-@njit(cache=True)
-def _voronoi(sites: np.ndarray, surface: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray) -> None:
-    r, n = surface.shape[0], len(sites)
-    for i in range(r):
-        squared = np.empty(n)
-        for j in range(r):
-            for k in range(r):
-                if surface[i, j, k] <= 0:
-                    continue
-                own = 0
-                for s in range(n):
-                    squared[s] = _squared(sites, s, i, j, k)
-                    if squared[s] < squared[own]:
-                        own = s
-                wall = np.inf
-                for s in range(n):
-                    if s != own:
-                        # Plane halfway between two sites; cells are convex, so the nearest wall decides.
-                        apart = np.sqrt(_squared(sites, s, sites[own, 0], sites[own, 1], sites[own, 2]))
-                        wall = min(wall, (squared[s] - squared[own]) / (2 * apart))
-                cells[i, j, k] = own + 1
-                distance[i, j, k] = wall * spacing

@@ -1,0 +1,67 @@
+"""Voronoi cells as fracture patterns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from deepfracture.carve.parts import connected_labels
+from deepfracture.geometry.sampled import FAR
+from deepfracture.types import BadInput, FracturePattern, Grid
+
+
+def voronoi_pattern(sites: ArrayLike, surface_distance: ArrayLike, grid: Grid) -> FracturePattern:
+    """Voronoi cells of `sites` inside a body, with exact distances to their walls.
+
+    A cell that the body cuts into several connected parts gives one label for each.
+
+    Args:
+        sites: Distinct points [m], body frame, shape (n, 3).
+        surface_distance: Signed distance to the body's surface [m], positive inside, shape (r, r, r).
+        grid: Voxels to fill.
+
+    Raises:
+        BadInput: Wrong shapes, or two sites at one place.
+    """
+    sites = np.ascontiguousarray(sites, float)
+    surface = np.ascontiguousarray(surface_distance, np.float32)
+    if sites.ndim != 2 or sites.shape[1] != 3 or len(sites) == 0:
+        raise BadInput(f"sites must have shape (n, 3) with n > 0, got {sites.shape}")
+    if surface.shape != grid.shape:
+        raise BadInput(f"surface_distance must have shape {grid.shape}, got {surface.shape}")
+    if len(np.unique(sites, axis=0)) < len(sites):
+        raise BadInput("sites must be distinct, got two at one place")
+    cells = np.zeros(grid.shape, np.int32)
+    distance = np.zeros(grid.shape, np.float32)
+    _voronoi(grid.to_index(sites), surface, grid.spacing, cells, distance)
+    return FracturePattern(grid, connected_labels(cells), np.minimum(distance, FAR))
+
+
+@njit(cache=True, inline="always")
+def _squared(sites: np.ndarray, s: int, x: float, y: float, z: float) -> float:
+    return (sites[s, 0] - x) ** 2 + (sites[s, 1] - y) ** 2 + (sites[s, 2] - z) ** 2
+
+
+@njit(cache=True)
+def _voronoi(sites: np.ndarray, surface: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray) -> None:
+    r, n = surface.shape[0], len(sites)
+    for i in range(r):
+        squared = np.empty(n)
+        for j in range(r):
+            for k in range(r):
+                if surface[i, j, k] <= 0:
+                    continue
+                own = 0
+                for s in range(n):
+                    squared[s] = _squared(sites, s, i, j, k)
+                    if squared[s] < squared[own]:
+                        own = s
+                wall = np.inf
+                for s in range(n):
+                    if s != own:
+                        # Plane halfway between two sites; cells are convex, so the nearest wall decides.
+                        apart = np.sqrt(_squared(sites, s, sites[own, 0], sites[own, 1], sites[own, 2]))
+                        wall = min(wall, (squared[s] - squared[own]) / (2 * apart))
+                cells[i, j, k] = own + 1
+                distance[i, j, k] = wall * spacing
