@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
+from deepfracture.progress import log
 from deepfracture.types import BadInput
 
 ShapeName = Annotated[Positional[str], tyro.conf.arg(metavar="SHAPE", help="A mesh file, or a built-in shape.")]
@@ -123,7 +124,7 @@ def train(
     Args:
         dataset: folder made by `deepfracture simulate`.
         out: run folder; the finished weights are model.safetensors in it.
-        epochs: passes over the data (default: 200).
+        epochs: passes over the data (default: 400).
         minutes: train for this long instead.
         device: auto, cpu, cuda or mps.
         seed: of the initial weights and the order of samples.
@@ -154,7 +155,8 @@ def warm() -> None:
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    log.setLevel(logging.INFO)
     try:
         app.cli(prog="deepfracture", description="Breaks things beautifully.", args=args)
     except BadInput as problem:

@@ -21,9 +21,11 @@ from deepfracture.world.engine import (
     rotation,
 )
 
-SEPARATION = 0.05
-"""Greatest speed at which overlapping bodies are moved apart [m/s]; it stays with them, and with the 3 m/s of
-Rapier itself fragments whose hulls overlap a little burst apart."""
+SEPARATION = 1.0
+"""Greatest speed at which overlapping bodies are moved apart [m/s] ..."""
+RELAXATION = 6
+"""... and how many iterations then take that speed from them again. With Rapier's one, fragments whose hulls
+overlap a little burst apart; a slower separation instead lets corners sink into the floor."""
 SLOP = 0.001
 """Overlap that is left alone [m]."""
 BODY_STIFFNESS, FLOOR_STIFFNESS = 120.0, 240.0
@@ -40,6 +42,7 @@ class Rapier:
         self._world.set_num_threads(1)  # sums in one order: same seed, same bytes
         solver = self._world.integration_parameters
         solver.normalized_max_corrective_velocity = SEPARATION
+        solver.num_internal_stabilization_iterations = RELAXATION
         solver.normalized_allowed_linear_error = SLOP
         solver.contact_softness = rapier3d.SpringCoefficients(BODY_STIFFNESS, 10.0)
         solver.static_contact_softness = rapier3d.SpringCoefficients(FLOOR_STIFFNESS, 10.0)
