@@ -25,12 +25,12 @@ WHOLE_PARTS, WHOLE_EXCESS = 64, 0.05
 """Most parts of a whole shape, and how much hull volume [of the mesh volume] may be air."""
 PIECE_PARTS, PIECE_EXCESS = 8, 0.20
 """The same for a fragment."""
-SHRINK, GAP = 0.02, 0.003
+SHRINK, GAP = 0.02, 0.002
 """How much nearer to its own centre the hull of a fragment is: this share, but at most `GAP` [m]. Hulls of
 rough crack surfaces poke into their neighbours; without this gap they would push each other apart."""
 DIRECTIONS = 64
 """A hull starts from the extreme points in this many directions ..."""
-SAG = 0.0015
+SAG = 0.001
 """... and takes in points that stand out further than this [m]: what a fragment may sink into a floor ..."""
 ROUNDS = 3
 """... in this many rounds at most."""

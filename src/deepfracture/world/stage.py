@@ -20,7 +20,7 @@ TRAVEL = 0.125
 SHAPE_TRAVEL = 0.05
 """A falling shape moves at most this far a step [m]."""
 
-DROWSY_SPEED, DROWSY_SPIN = 0.3, 1.0
+DROWSY_SPEED, DROWSY_SPIN = 0.3, 2.0
 """What is slower [m/s, rad/s], on a floor, is about to come to rest ..."""
 DROWSINESS = 6.0
 """... and loses its velocities at this rate [1/s], as it would by the crumbling of its edges. Rigid bodies
@@ -128,14 +128,12 @@ class Stage:
         lying = self.scene.floor is not None and self.scene.gravity > 0
         for body, motion in moving:
             rests = self._rest.update(body.number, motion, body.mass.centre, dt)
-            if body.kind == "ball":
-                everything &= rests or self._leaves(motion, moving)
-                continue
-            everything &= rests
+            everything &= rests or (body.kind == "ball" and self._leaves(motion, moving))
             slow = np.linalg.norm(motion.velocity) < DROWSY_SPEED
+            calm = body.kind == "ball" or np.linalg.norm(motion.spin) < DROWSY_SPIN
             if lying and rests:
                 self.engine.slow(body.number, 0.0)
-            elif lying and slow and np.linalg.norm(motion.spin) < DROWSY_SPIN:
+            elif lying and slow and calm:
                 self.engine.slow(body.number, float(np.exp(-DROWSINESS * dt)))
         return everything
 
