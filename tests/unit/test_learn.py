@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfracture.carve import encode, voronoi_pattern
-from deepfracture.learn import Config, Normaliser, network, normalise_impact, variation_of_information
+from deepfracture.learn import Config, Model, Normaliser, network, normalise_impact, variation_of_information
 from deepfracture.learn.codebook import quantise
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.targets import SURE, anchors, target_of
@@ -205,3 +205,16 @@ def test_labels_of_other_shapes_are_refused() -> None:
         variation_of_information([1, 2], [1, 2, 3])
     with pytest.raises(BadInput):
         variation_of_information([1, 2], [1, 2], [False, False])
+
+
+def test_a_model_knows_its_shape_by_its_surface_not_by_its_name() -> None:
+    from deepfracture.geometry import builtin, signed_distance
+    from deepfracture.types import Mesh, Shape
+
+    shape, grid = builtin("bar"), Grid(32)
+    body = Body.of(grid, signed_distance(shape.mesh, grid))
+    model = Model("bar", Config(), Normaliser(1.0), body, {}, np.zeros((1, 136), np.float32), {})
+    thinner = Shape("bar", Mesh(shape.mesh.vertices * [1, 0.8, 1], shape.mesh.faces))
+    assert model.fits(shape)
+    assert not model.fits(thinner)
+    assert not model.fits(builtin("letter_a"))

@@ -31,8 +31,15 @@ def test_a_shiver_is_rest_whatever_its_speed() -> None:
 
 
 def test_a_slow_creep_is_not_rest() -> None:
-    creep = [_at(i * 2 * SHIFT / FRAMES) for i in range(3 * FRAMES)]
+    creep = [_at(i * 2 * SHIFT / FRAMES) for i in range(8 * FRAMES)]
     assert not any(_ask(Rest(), creep))
+
+
+def test_rocking_in_place_is_rest_in_the_end() -> None:
+    rocking = [_at(0.04 * (i // 6 % 2)) for i in range(120)]
+    answers = _ask(Rest(), rocking)
+    assert not any(answers[:FRAMES])
+    assert answers[-1]
 
 
 def test_turning_on_the_spot_is_not_rest() -> None:

@@ -43,15 +43,17 @@ def _learned(shape: Shape, path: Path | None) -> PatternSource:
 
     from .learned import Learned
 
+    given = path is not None
     path = path or embedded_model(shape.name)
-    if path is None:
-        raise BadInput(
-            f"{shape.name}: no trained model for this shape; try --breaker physical, or train one: "
-            f"deepfracture simulate {shape.name} --out data && deepfracture train data --out model.safetensors"
-        )
-    model = load_model(path)
-    _same_shape(path, model.shape_name, shape.name)
-    return Learned(model)
+    model = load_model(path) if path else None
+    if model is not None and model.fits(shape):
+        return Learned(model)
+    if given:
+        raise BadInput(f"{path}: trained on another shape ({model.shape_name if model else ''}), not on {shape.name}")
+    raise BadInput(
+        f"{shape.name}: no trained model for this shape; try --breaker physical, or train one: deepfracture simulate "
+        "SHAPE --out data && deepfracture train data --out run, then use --model run/model.safetensors"
+    )
 
 
 def _nearest(shape: Shape, path: Path | None) -> PatternSource:
@@ -67,10 +69,6 @@ def _nearest(shape: Shape, path: Path | None) -> PatternSource:
     dataset = open_dataset(path)
     if len(dataset) == 0:
         raise BadInput(f"{path}: no pattern in this data set yet; run deepfracture simulate again to go on with it")
-    _same_shape(path, dataset.shape.name, shape.name)
+    if dataset.shape.mesh.volume != shape.mesh.volume:
+        raise BadInput(f"{path}: made for another shape ({dataset.shape.name}), not for {shape.name}")
     return Nearest(dataset)
-
-
-def _same_shape(path: Path, made_for: str, name: str) -> None:
-    if made_for != name:
-        raise BadInput(f"{path}: made for the shape {made_for!r}, not for {name!r}")

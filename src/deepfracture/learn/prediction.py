@@ -15,10 +15,12 @@ from deepfracture.learn.codebook import quantise
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.settings import Config
-from deepfracture.types import BadInput, Floats32, Grid, Impact, Volume
+from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
 FORMAT = 1
 KIND = "model"
+SAME_VOLUME = 0.08
+"""Voxels counted by their centres miss the volume of thin shapes by up to this share."""
 SHIPPED = Path(__file__).parent / "models"
 
 
@@ -45,6 +47,18 @@ class Model:
     def waves(self) -> Floats32:
         """The basis at every voxel inside, shape (voxels, basis)."""
         return network.basis(self.weights, self.body.points.astype(np.float32), np)
+
+    def fits(self, shape: Shape) -> bool:
+        """Whether `shape` is the one that the model was trained on, however it is tessellated: its vertices lie
+        on the surface that the model knows, to a voxel, and it fills the same voxels, to some percent."""
+        from scipy.ndimage import map_coordinates
+
+        grid, surface = self.body.grid, self.body.surface
+        index = grid.to_index(shape.mesh.vertices).T
+        away = np.abs(map_coordinates(surface, index, order=1, mode="nearest"))
+        filled = len(self.body.flat) * grid.spacing**3
+        close = bool(np.percentile(away, 99) < grid.spacing)
+        return close and abs(filled / shape.mesh.volume - 1) < SAME_VOLUME
 
     def decode(self, code: Floats32) -> Volume:
         """The GS-SDF of one latent code, shape (code_size,)."""

@@ -31,7 +31,7 @@ from deepfracture.world.engine import (
     times,
 )
 
-CONTACT = 0.002
+CONTACT = 0.006
 """Bodies nearer than this are in contact [m]. Bullet brakes what is about to touch, and what it has braked
 does not bounce any more; with its own 2 cm slow collisions lose their restitution."""
 

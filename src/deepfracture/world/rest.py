@@ -9,10 +9,10 @@ import numpy as np
 from deepfracture.types import Floats
 from deepfracture.world.engine import Motion, rotation
 
-SHIFT, TURN = 0.03, 0.06
-"""A body that stays this close to where it was [m, rad] ..."""
-REST_TIME = 0.5
-"""... for this long has come to rest [s]. It wakes when something moves it further."""
+SHIFT, TURN, REST_TIME = 0.03, 0.06, 0.5
+"""A body that stays this close to where it was [m, rad] for this long has come to rest [s] ..."""
+PATIENCE = ((SHIFT, TURN, REST_TIME), (0.1, 0.3, 1.5))
+"""... or one that has rocked about in a little more room for longer. It wakes when something moves it further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,24 +21,25 @@ class _Anchor:
     quat: Floats
     age: float
 
+    def left(self, centre: Floats, quat: Floats, shift: float, turn: float) -> bool:
+        turned = 2 * np.arccos(min(abs(float(self.quat @ quat)), 1.0))
+        return bool(np.linalg.norm(centre - self.centre) > shift or turned > turn)
+
 
 class Rest:
     """Remembers where each body was when it last moved noticeably."""
 
     def __init__(self) -> None:
-        self._anchors: dict[int, _Anchor] = {}
+        self._anchors: dict[tuple[int, int], _Anchor] = {}
 
     def update(self, body: int, motion: Motion, centre: Floats, dt: float) -> bool:
         """Whether the body rests, `dt` after it was last asked about; `centre` of mass in its mesh frame."""
         here = motion.position + rotation(motion.quat_wxyz) @ centre
-        anchor = self._anchors.get(body)
-        if anchor is None or _moved(anchor, here, motion.quat_wxyz):
-            self._anchors[body] = _Anchor(here, motion.quat_wxyz, 0.0)
-            return False
-        self._anchors[body] = _Anchor(anchor.centre, anchor.quat, anchor.age + dt)
-        return anchor.age + dt > REST_TIME - 1e-9
-
-
-def _moved(anchor: _Anchor, centre: Floats, quat: Floats) -> bool:
-    turned = 2 * np.arccos(min(abs(float(anchor.quat @ quat)), 1.0))
-    return bool(np.linalg.norm(centre - anchor.centre) > SHIFT or turned > TURN)
+        rests = False
+        for level, (shift, turn, patience) in enumerate(PATIENCE):
+            anchor = self._anchors.get((body, level))
+            if anchor is None or anchor.left(here, motion.quat_wxyz, shift, turn):
+                anchor = _Anchor(here, motion.quat_wxyz, -dt)
+            self._anchors[body, level] = _Anchor(anchor.centre, anchor.quat, anchor.age + dt)
+            rests |= anchor.age + dt > patience - 1e-9
+        return rests
