@@ -11,13 +11,13 @@ from deepfracture.types import Mesh
 from deepfracture.world.hulls import WHOLE_PARTS, piece_hulls, whole_hulls
 
 
-@pytest.mark.parametrize(("name", "air"), [("bar", 1e-6), ("mug", 0.1), ("pot", 0.15), ("letter_a", 0.08)])
+@pytest.mark.parametrize(("name", "air"), [("bar", 1e-6), ("mug", 0.1), ("pot", 0.17), ("letter_a", 0.08)])
 def test_parts_fill_a_shape_and_little_more(name: str, air: float) -> None:
     mesh = builtin(name).mesh
     hulls = whole_hulls(mesh)
     volume = sum(ConvexHull(points).volume for points in hulls.points)
     assert len(hulls.points) <= WHOLE_PARTS
-    assert max(len(points) for points in hulls.points) <= 128
+    assert max(len(points) for points in hulls.points) <= 160
     assert -0.02 < volume / mesh.volume - 1 < air
     # Wherever there is solid near the surface there is a part.
     rng = np.random.default_rng(0)

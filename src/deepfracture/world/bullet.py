@@ -31,9 +31,9 @@ from deepfracture.world.engine import (
     times,
 )
 
-CONTACT = 0.006
+REBOUND, PILE = 0.0005, 0.006
 """Bodies nearer than this are in contact [m]. Bullet brakes what is about to touch, and what it has braked
-does not bounce any more; with its own 2 cm slow collisions lose their restitution."""
+bounces less, so for impulses the distance is small; piles need contacts that last, so for them it is not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Bullet:
             useSplitImpulse=1,
             splitImpulsePenetrationThreshold=0.0,
             restitutionVelocityThreshold=0.1,
-            contactBreakingThreshold=CONTACT,
+            contactBreakingThreshold=REBOUND,
             deterministicOverlappingPairs=1,
             enableFileCaching=0,
             **self._world,
@@ -113,6 +113,9 @@ class Bullet:
         velocity, spin = self._api.getBaseVelocity(self._ids[body], **self._world)
         slower = [factor * v for v in velocity], [factor * w for w in spin]
         self._api.resetBaseVelocity(self._ids[body], *slower, **self._world)
+
+    def prefer_piles(self) -> None:
+        self._api.setPhysicsEngineParameter(contactBreakingThreshold=PILE, **self._world)
 
     def step(self, dt: float) -> None:
         if dt != self._dt:

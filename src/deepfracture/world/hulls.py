@@ -104,7 +104,8 @@ def _decompose(triangles: Floats, most: int, tolerance: float) -> Hulls:
         else:
             parts += halves
     parts += done
-    return Hulls(tuple(_filled(part) for part in parts), sum(part.excess for part in parts) / volume)
+    filled = [_filled(part) for part in parts]
+    return Hulls(tuple(points for points, _ in filled), sum(hull for _, hull in filled) / volume - 1)
 
 
 def _halve(part: _Part) -> list[_Part]:
@@ -142,20 +143,23 @@ def _hull(points: Floats) -> tuple[Floats, float]:
     return hull.points[hull.vertices], float(hull.volume)
 
 
-def _filled(part: _Part) -> Floats:
-    """The hull of a part with the points that its few directions have missed."""
+def _filled(part: _Part) -> tuple[Floats, float]:
+    """The hull of a part with the points that its few directions have missed, and its volume."""
     from scipy.spatial import ConvexHull
 
     points = part.triangles[part.skin].reshape(-1, 3)
     corners = part.points
-    for _ in range(ROUNDS):
-        faces = ConvexHull(corners, qhull_options="QJ").equations  # x . n + d <= 0 inside
+    volume = 0.0
+    for _ in range(ROUNDS + 1):
+        hull = ConvexHull(corners, qhull_options="QJ")
+        faces = hull.equations  # x . n + d <= 0 inside
+        volume = float(hull.volume)
         farthest = _support(points, np.ascontiguousarray(faces[:, :3]))
         over = np.einsum("fi,fi->f", points[farthest], faces[:, :3]) + faces[:, 3] > SAG
         if not over.any():
             break
         corners = np.unique(np.concatenate([corners, points[farthest[over]]]), axis=0)
-    return corners
+    return corners, volume
 
 
 def _sphere(n: int) -> Floats:

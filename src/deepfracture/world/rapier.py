@@ -97,6 +97,9 @@ class Rapier:
         held.linvel = tuple(factor * v for v in held.linvel.to_tuple())
         held.angvel = tuple(factor * v for v in held.angvel.to_tuple())
 
+    def prefer_piles(self) -> None:
+        pass  # its contacts are exact and stable at once
+
     def step(self, dt: float) -> None:
         self._world.integration_parameters.dt = dt
         self._world.step()

@@ -118,6 +118,8 @@ class Stage:
             name = f"{hit.body.name}.{i:03d}"
             self.bodies[number] = Body(number, name, "fragment", piece.mesh, mass, 1.0)
             added.append(self.bodies[number])
+        if not any(body.shape for body in self.bodies.values()):
+            self.engine.prefer_piles()
         return added
 
     def settle(self, moving: list[tuple[Body, Motion]], dt: float) -> bool:
