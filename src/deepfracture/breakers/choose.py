@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from deepfracture.progress import log
 from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
 
 from .base import PatternBreaker, PatternSource
@@ -32,13 +33,13 @@ def _source(
 
         return Voronoi(material, grid)
     if name == "learned":
-        return _learned(shape, model)
+        return _learned(shape, material, model)
     if name == "nearest":
         return _nearest(shape, dataset)
     raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}")
 
 
-def _learned(shape: Shape, path: Path | None) -> PatternSource:
+def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSource:
     from deepfracture.learn import embedded_model, load_model
 
     from .learned import Learned
@@ -47,6 +48,9 @@ def _learned(shape: Shape, path: Path | None) -> PatternSource:
     path = path or embedded_model(shape.name)
     model = load_model(path) if path else None
     if model is not None and model.fits(shape):
+        taught = model.about.get("material", material.name)
+        if taught != material.name:
+            log.warning("%s: trained on %s, so its cracks are those of %s", path, taught, taught)
         return Learned(model)
     if given:
         raise BadInput(f"{path}: trained on another shape ({model.shape_name if model else ''}), not on {shape.name}")

@@ -97,7 +97,14 @@ def train(
     model = run.model()
     found = recall(model, model.codebook, lesson.probes)
     command = f"deepfracture train {dataset.path.name} --out {out.name} {budget} --seed {seed}"
-    about = {"command": command, "seed": seed, "loss": run.loss, "epochs": run.epoch, "counts": found.counts}
+    about = {
+        "command": command,
+        "seed": seed,
+        "material": dataset.material.name,
+        "loss": run.loss,
+        "epochs": run.epoch,
+        "counts": found.counts,
+    }
     path = out / "model.safetensors"
     save_model(path, replace(model, about=about))
     last = run.point(found)
