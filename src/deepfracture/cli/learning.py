@@ -11,7 +11,7 @@ EPOCHS = 400
 
 
 def simulate(
-    name: str, *, out: Path, collisions: int, material: str, resolution: int, speed: tuple[float, float],
+    name: str, *, out: Path | None, collisions: int, material: str, resolution: int, speed: tuple[float, float],
     workers: int, seed: int, repair: bool,
 ) -> None:  # fmt: skip
     """Fill the data set `out` with simulated collisions of the shape `name`; goes on where it stopped."""
@@ -20,6 +20,7 @@ def simulate(
     from deepfracture.geometry import load_shape
 
     shape = load_shape(name, repair=repair)
+    out = out or Path("data") / shape.name
     dataset = simulate_collisions(
         shape, preset(material), out, collisions=collisions, workers=workers, resolution=resolution, seed=seed,
         speed_range=speed,

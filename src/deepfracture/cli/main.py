@@ -79,7 +79,7 @@ def shatter(
 def simulate(
     shape: ShapeName,
     /,
-    out: Path,
+    out: Path | None = None,
     collisions: int = 60,
     material: str = "plaster",
     resolution: int = 64,
@@ -92,7 +92,7 @@ def simulate(
 
     Args:
         shape: a mesh file, or a built-in shape.
-        out: folder of the data set.
+        out: folder of the data set (default: data/SHAPE).
         collisions: balls to throw; those that break nothing are counted and left out.
         material: a whole-material preset.
         resolution: voxels along each axis.
