@@ -34,4 +34,5 @@ class PatternBreaker:
         if pattern is None or pattern.count < 2:
             return None
         with stage("cut"):
-            return cut(shape, pattern, density=self.material.density)
+            fragments = cut(shape, pattern, density=self.material.density)
+        return fragments if len(fragments) > 1 else None  # what the pattern parts may be dust to the mesh

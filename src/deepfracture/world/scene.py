@@ -203,7 +203,7 @@ def throw_scene(
     start[2] = max(start[2], radius + 0.01)
     ball = Ball(radius, STEEL, _tuple(start), _tuple(velocity))
     stands = Placed(name, material, _tuple(place), quat_wxyz)
-    return Scene((stands,), (ball,), Floor(), engine=engine, seed=seed)
+    return Scene((stands,), (ball,), Floor(), duration=10.0, engine=engine, seed=seed)
 
 
 def learning_scene(
