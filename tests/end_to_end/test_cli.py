@@ -106,6 +106,13 @@ def test_the_scene_that_shatter_writes_replays_the_same(tmp_path: Path) -> None:
     assert (one / "animation.glb").read_bytes() == (two / "animation.glb").read_bytes()
 
 
+def test_a_shape_by_its_other_name(tmp_path: Path) -> None:
+    done(
+        "shatter", "letter-a", "--breaker", "voronoi", "--resolution", 32, "--speed", 14, "--no-film", "--out", tmp_path
+    )
+    check_output(tmp_path)
+
+
 def test_a_soft_touch_breaks_nothing_and_says_so(tmp_path: Path) -> None:
     said = done("shatter", "bar", "--breaker", "voronoi", "--speed", 0.3, "--no-film", "--out", tmp_path)
     assert "did not break" in said or "nothing touched it" in said

@@ -24,7 +24,7 @@ class Throw:
     """How the ball is thrown."""
 
     speed: float = 9.0
-    """Speed of the ball [m/s] (the shape is 2 m long)."""
+    """Speed at which the ball is launched, 4 m away [m/s]; a slow one falls on its way (the shape is 2 m long)."""
     radius: float = 0.2
     """Radius of the steel ball [m]."""
     heading: float | None = None

@@ -50,7 +50,8 @@ def shatter(
         with stage("world, with the break"):
             outcome = run_world(played, shapes, seam, rng, materials=materials)
         files = _write(outcome, played, out, stages, film=film)
-    report = _report(outcome, played, materials, chosen, stages, files)
+    made_of = {id(shape): materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
+    report = _report(outcome, played, made_of, chosen, stages, files)
     path = out / "report.json"
     _replace(path, json.dumps(report, indent=1) + "\n")
     log.info("%s", _summary(report, outcome))
@@ -124,15 +125,17 @@ def _portable(scene: Scene, out: Path) -> Scene:
 
 
 def _report(
-    outcome: Outcome, scene: Scene, materials: dict[str, Material], breaker: str, stages: list[Stage], files: list[str]
+    outcome: Outcome, scene: Scene, made_of: dict[int, Material], breaker: str, stages: list[Stage], files: list[str]
 ) -> dict:
-    """What report.json holds; of several collisions the strongest that broke something, or the strongest."""
+    """What report.json holds; of several collisions the strongest that broke something, or the strongest.
+
+    made_of: the material of each shape, by its identity."""
     asked = outcome.breaks or outcome.collisions
     main = max(asked, key=lambda collision: collision.impact.magnitude[0], default=None)
     report: dict = {
         "shape": ", ".join(placed.shape for placed in scene.shapes),
         "breaker": breaker,
-        "material": ", ".join(materials),
+        "material": ", ".join(dict.fromkeys(placed.material for placed in scene.shapes)),
         "seed": scene.seed,
         "broke": bool(outcome.breaks),
         "impulse": None,
@@ -145,7 +148,7 @@ def _report(
     }
     if main is None:
         return report
-    material = materials[_material_of(scene, main.body, main.shape)]
+    material = made_of[id(main.shape)]
     area = float(np.linalg.norm(main.shape.mesh.area_vectors, axis=1).sum())
     report["impulse"] = float(main.impact.magnitude[0])
     report["sigma_1"] = critical_stress(main.impact, material, area)
@@ -158,13 +161,6 @@ def _report(
         ]
         report["volume_error"] = abs(main.fragments.volume / main.shape.mesh.volume - 1)
     return report
-
-
-def _material_of(scene: Scene, body: str, shape: Shape) -> str:
-    for placed in scene.shapes:
-        if Path(placed.shape).stem == shape.name or placed.shape == shape.name:
-            return placed.material
-    raise AssertionError(f"no shape of the scene is called {body}")
 
 
 def _summary(report: dict, outcome: Outcome) -> str:
