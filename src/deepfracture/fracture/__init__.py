@@ -3,15 +3,20 @@
 from .body import FractureBody, prepare_body
 from .contact import breaks, critical_stress
 from .materials import MATERIALS, material
+from .mechanisms import Mechanisms
+from .similar import prepare_piece, similar
 from .simulate import Cracking, simulate
 
 __all__ = [
     "MATERIALS",
     "Cracking",
     "FractureBody",
+    "Mechanisms",
     "breaks",
     "critical_stress",
     "material",
     "prepare_body",
+    "prepare_piece",
+    "similar",
     "simulate",
 ]

@@ -39,7 +39,7 @@ class Crack:
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """The scratch fields of a march over the fine lattice; all zero between cracks but for `broken`."""
+    """The scratch fields of a march over the fine lattice; all zero between cracks but for `cut`."""
 
     status: np.ndarray
     arrival: Floats32
@@ -47,13 +47,20 @@ class Front:
     """Tension that opens the wall here [Pa]."""
     drive: Floats32
     """Its mean along the path of the front [Pa]."""
-    broken: np.ndarray
-    """1 where an earlier crack runs: a front stops there, in a T-junction."""
+    cut: np.ndarray
+    """Faces that cracks have opened, a bit for each axis (towards the next cell): a front stops there, in a
+    T-junction."""
 
     @staticmethod
     def on(lattice: Lattice) -> Front:
         arrival, mouth, drive = (np.zeros(lattice.shape, np.float32) for _ in range(3))
         return Front(np.zeros(lattice.shape, np.uint8), arrival, mouth, drive, np.zeros(lattice.shape, np.uint8))
+
+    def clear(self, crack: Crack) -> None:
+        """Forget the march of `crack`."""
+        cells = tuple(crack.voxels.T)
+        for scratch in (self.status, self.arrival, self.mouth, self.drive):
+            scratch[cells] = 0
 
 
 @dataclass(frozen=True)
@@ -150,7 +157,7 @@ def _on_sheet(sheet, x, y, z, ratio, h):
 
 @njit(cache=True)
 def march(
-    sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, broken,
+    sdf, wall, stress, sheet, toughness, status, arrival, mouth, drive, cut,
     seed, start, h, ratio, rise, speed, longest,
 ):  # fmt: skip
     """Fast marching (a heap of arrival times) of the front from `seed` (fractional fine index).
@@ -189,13 +196,16 @@ def march(
                 heapq.heappush(heap, (reached, i, j, k))
                 continue
         arrival[i, j, k], mouth[i, j, k], drive[i, j, k] = reached, opening, pull
-        stopped = radius > NUCLEUS and (sdf[i, j, k] < -h or broken[i, j, k] != 0)
+        stopped = radius > NUCLEUS and sdf[i, j, k] < -h
         status[i, j, k] = STOPPED if stopped else FRONT
         cells.append((i, j, k))
         found.append((offset, nx, ny, nz))
-        for q in range(0 if stopped else 6):
-            a, b, c = i + (q == 0) - (q == 1), j + (q == 2) - (q == 3), k + (q == 4) - (q == 5)
-            if status[a, b, c] == 0:
+        for axis in range(0 if stopped else 3):
+            a, b, c = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+            if status[a, b, c] == 0 and not cut[i, j, k] & (1 << axis):
+                heapq.heappush(heap, (reached, a, b, c))
+            a, b, c = i - (axis == 0), j - (axis == 1), k - (axis == 2)
+            if status[a, b, c] == 0 and not cut[a, b, c] & (1 << axis):
                 heapq.heappush(heap, (reached, a, b, c))
     return cells, found
 
@@ -217,7 +227,7 @@ def grow(
     """Grow one crack from `seed` [m] at time `start` [s]; marks nothing as broken."""  # fmt: skip
     index = (seed - fine.first_centre) / fine.spacing
     cells, found = march(
-        sdf, wall, stress, sheet, toughness, front.status, front.arrival, front.mouth, front.drive, front.broken,
+        sdf, wall, stress, sheet, toughness, front.status, front.arrival, front.mouth, front.drive, front.cut,
         index, start, fine.spacing, fine.spacing / coarse.spacing, ramp.rise, ramp.speed, ramp.longest,
     )  # fmt: skip
     voxels = np.array(cells, np.int64).reshape(-1, 3)

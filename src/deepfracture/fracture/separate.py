@@ -36,11 +36,13 @@ def _crossings(voxels, offset, normals, status, position, cut):
     return faces
 
 
-def open_faces(crack: Crack, front: Front, cut: np.ndarray, position: np.ndarray) -> Floats:
+def open_faces(crack: Crack, front: Front, position: np.ndarray) -> Floats:
     """Cut the lattice along `crack`. Returns the new faces: voxel, axis, share of the edge, normal, shape (n, 8)."""
     if not len(crack.voxels):
         return np.zeros((0, 8))
-    return np.array(_crossings(crack.voxels, crack.offset, crack.normals, front.status, position, cut)).reshape(-1, 8)
+    return np.array(_crossings(crack.voxels, crack.offset, crack.normals, front.status, position, front.cut)).reshape(
+        -1, 8
+    )
 
 
 @njit(cache=True)
@@ -81,18 +83,33 @@ def _flood(inside, cut):
     return labels, count
 
 
+@njit(cache=True)
+def _contacts(labels):
+    """The two labels at each face between unlike pieces, as low * count + high with count = highest label + 1."""
+    nx, ny, nz = labels.shape
+    count = np.int64(labels.max()) + 1
+    keys = [np.int64(0) for _ in range(0)]
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                here = labels[i, j, k]
+                if here == 0:
+                    continue
+                for axis in range(3):
+                    a, b, c = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+                    there = labels[a, b, c] if a < nx and b < ny and c < nz else here
+                    if there != here and there != 0:
+                        keys.append(min(here, there) * count + max(here, there))
+    return np.array(keys)
+
+
 def _neighbours(labels: Labels) -> list[dict[int, int]]:
     """For each label the labels that touch it and how many faces they share."""
-    touching: list[dict[int, int]] = [{} for _ in range(int(labels.max()) + 1)]
-    pairs = []
-    for axis in range(3):
-        a = np.moveaxis(labels, axis, 0)
-        low, high = a[:-1].ravel(), a[1:].ravel()
-        touch = (low != high) & (low > 0) & (high > 0)
-        pairs.append(np.stack([low[touch], high[touch]], axis=1))
-    for (a, b), faces in zip(*np.unique(np.concatenate(pairs), axis=0, return_counts=True), strict=True):
-        touching[a][b] = touching[a].get(b, 0) + int(faces)
-        touching[b][a] = touching[b].get(a, 0) + int(faces)
+    count = int(labels.max()) + 1
+    touching: list[dict[int, int]] = [{} for _ in range(count)]
+    keys, shared = np.unique(_contacts(labels), return_counts=True)
+    for a, b, faces in zip((keys // count).tolist(), (keys % count).tolist(), shared.tolist(), strict=True):
+        touching[a][b] = touching[b][a] = faces
     return touching
 
 
@@ -102,8 +119,9 @@ def merge_dust(labels: Labels, smallest: int) -> Labels:
     Dust that touches nothing stays: it is a body of its own. Labels are renumbered without gaps."""
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    touching = _neighbours(labels)
     home = np.arange(len(sizes))
+    dusty = bool(((sizes > 0) & (sizes < smallest)).any())
+    touching = _neighbours(labels) if dusty else []
     queue = [(int(sizes[piece]), int(piece)) for piece in np.flatnonzero((sizes > 0) & (sizes < smallest))]
     heapq.heapify(queue)
     while queue:
@@ -111,7 +129,7 @@ def merge_dust(labels: Labels, smallest: int) -> Labels:
         if size != sizes[piece] or home[piece] != piece or not touching[piece]:
             continue  # grew meanwhile, is gone already, or touches nothing
         into = max(touching[piece], key=lambda other: (touching[piece][other], -other))
-        home[home == piece] = into
+        home[piece] = into
         sizes[into] += size
         for other, faces in touching[piece].items():
             del touching[other][piece]
@@ -119,8 +137,10 @@ def merge_dust(labels: Labels, smallest: int) -> Labels:
                 touching[into][other] = touching[other][into] = touching[into].get(other, 0) + faces
         if sizes[into] < smallest:
             heapq.heappush(queue, (int(sizes[into]), int(into)))
-    kept, number = np.unique(home[labels], return_inverse=True)
-    return (number.reshape(labels.shape) + (kept[0] > 0)).astype(np.int32)
+    while (home[home] != home).any():  # what took a piece in may itself have joined another
+        home = home[home]
+    kept = np.unique(home[sizes > 0])
+    return np.where(sizes > 0, np.searchsorted(kept, home) + 1, 0).astype(np.int32)[labels]
 
 
 def fragments_of(inside: np.ndarray, cut: np.ndarray, smallest: int) -> Labels:

@@ -1,108 +1,158 @@
-"""The stress that cracks feel: at the nodes of the coarse lattice, relieved by every crack that opens."""
+"""The stress that cracks feel, as the load of a collision comes and goes and the cracks let go of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from scipy.spatial import KDTree
 
 from deepfracture.types import Floats, Floats32
 
 from .body import FractureBody
+from .cracked import CrackedSolid
 
-VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-
-
-def tensors(voigt: Floats) -> Floats:
-    """(n, 6) -> (n, 3, 3)."""
-    full = np.empty((len(voigt), 3, 3))
-    for q, (a, b) in enumerate(VOIGT):
-        full[:, a, b] = full[:, b, a] = voigt[:, q]
-    return full
+SWEEPS = 12
+"""Rounds of Jacobi's rotations; five reach double precision."""
 
 
-def voigt(full: Floats) -> Floats:
-    """(n, 3, 3) -> (n, 6)."""
-    return np.stack([full[:, a, b] for a, b in VOIGT], axis=1)
+@njit(cache=True)
+def principal(stress):
+    """Principal stresses (n, 3), rising, and the direction of the greatest, (n, 3), of stresses (n, 6): xx, yy, zz,
+    yz, xz, xy. Jacobi's rotations: many small matrices, each in registers."""
+    values, directions = np.empty((len(stress), 3)), np.empty((len(stress), 3))
+    a, v = np.empty((3, 3)), np.empty((3, 3))
+    for q in range(len(stress)):
+        for i in range(3):
+            for j in range(3):
+                a[i, j] = stress[q, i] if i == j else stress[q, 6 - i - j]
+                v[i, j] = 1.0 if i == j else 0.0
+        for _ in range(SWEEPS):
+            off = abs(a[0, 1]) + abs(a[0, 2]) + abs(a[1, 2])
+            if off <= 1e-14 * (abs(a[0, 0]) + abs(a[1, 1]) + abs(a[2, 2])):
+                break
+            for r in range(3):
+                i, j = (0, 1) if r == 0 else ((0, 2) if r == 1 else (1, 2))
+                if a[i, j] == 0:
+                    continue
+                slope = (a[j, j] - a[i, i]) / (2 * a[i, j])
+                t = (1.0 if slope >= 0 else -1.0) / (abs(slope) + np.sqrt(slope * slope + 1))
+                c = 1 / np.sqrt(t * t + 1)
+                s = t * c
+                for k in range(3):
+                    x, y = a[k, i], a[k, j]
+                    a[k, i], a[k, j] = c * x - s * y, s * x + c * y
+                for k in range(3):
+                    x, y = a[i, k], a[j, k]
+                    a[i, k], a[j, k] = c * x - s * y, s * x + c * y
+                for k in range(3):
+                    x, y = v[k, i], v[k, j]
+                    v[k, i], v[k, j] = c * x - s * y, s * x + c * y
+        top = 0
+        for i in range(1, 3):
+            if a[i, i] > a[top, top]:
+                top = i
+        low, high = min(a[0, 0], a[1, 1], a[2, 2]), a[top, top]
+        values[q, 0], values[q, 1], values[q, 2] = low, a[0, 0] + a[1, 1] + a[2, 2] - low - high, high
+        for k in range(3):
+            directions[q, k] = v[k, top]
+    return values, directions
+
+
+@dataclass(frozen=True)
+class Load:
+    """How the contact force comes and goes: linearly to its peak and back, a triangle for Hertz's bell."""
+
+    rise: float
+    """Time from first contact to peak load [s]."""
+
+    @property
+    def end(self) -> float:
+        """When the bodies part [s]."""
+        return 2 * self.rise
+
+    def share(self, time: float) -> float:
+        """Of the peak load, in [0, 1]."""
+        return max(0.0, 1 - abs(time / self.rise - 1))
 
 
 @dataclass(eq=False)
 class StressState:
-    """Driving stress at the nodes, and when each node would start a crack. Changes as cracks open."""
+    """Driving stress at the nodes of the coarse lattice, and which of them start a crack."""
 
     body: FractureBody
+    load: Load
     strength: Floats
     """Local tensile strength [Pa], shape (n,)."""
-    rise: float
-    """Time from first contact to peak load [s]."""
-    stress: Floats
-    """Driving stress at peak load [Pa]: sigma plus what compression adds, shape (n, 3, 3)."""
-    tension: Floats
+    elastic: Floats
+    """Stress of the uncracked body at peak load [Pa], shape (n, 6)."""
+    solid: CrackedSolid
+    time: float = 0.0
+    """[s] since first contact"""
+    stress: Floats = field(init=False)
+    """Driving stress now: sigma plus what compression adds [Pa], shape (n, 6): xx, yy, zz, yz, xz, xy."""
+    tension: Floats = field(init=False)
     """Greatest principal value of `stress` [Pa], shape (n,)."""
-    direction: Floats
+    direction: Floats = field(init=False)
     """Its direction, shape (n, 3)."""
-    clarity: Floats
+    clarity: Floats = field(init=False)
     """How far it exceeds the next one, in [0, 1], shape (n,)."""
-    onset: Floats
-    """When a crack starts here [s], inf: never, shape (n,)."""
+    onset: Floats = field(init=False)
+    """When a crack starts here, in the last step [s], inf: it does not, shape (n,)."""
+    taken: np.ndarray = field(init=False)
+    """Nodes so near to a crack that none may start there, shape (n,)."""
 
-    @staticmethod
-    def under_load(body: FractureBody, stress: Floats, strength: Floats, rise: float) -> StressState:
-        """From the elastic solution `stress` (n, 6) [Pa] at peak load.
+    def __post_init__(self) -> None:
+        n = len(self.strength)
+        self.tension, self.onset = np.zeros(n), np.full(n, np.inf)
+        self.taken = np.zeros(n, bool)
+        self._refresh()
+
+    def advance(self, step: float) -> None:
+        """Let `step` seconds pass: the load changes, cracks that have opened let go, waves run."""
+        before, since = self.tension / self.strength, self.time
+        self.time += step
+        self.solid.advance(self.load.share(self.time) * self.elastic, step)
+        self._refresh()
+        after = self.tension / self.strength
+        passed = (1 - before) / np.maximum(after - before, 1e-9)  # share of the step in which the limit is reached
+        self.onset = np.where((after >= 1) & ~self.taken, since + step * np.clip(passed, 0, 1), np.inf)
+
+    def _refresh(self) -> None:
+        """Principal values of the driving stress.
 
         Compression drives wing cracks along its direction: in the Coulomb-Mohr criterion
         sigma_1 / S_t - sigma_3 / S_c >= 1, so -sigma_3 / compressive_factor acts like a tension."""
-        full = tensors(stress)
-        least = np.linalg.eigvalsh(full)[:, 0]
-        full += (np.maximum(-least, 0) / body.material.compressive_factor)[:, None, None] * np.eye(3)
-        n = len(full)
-        state = StressState(body, strength, rise, full, np.zeros(n), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf))
-        state._refresh(np.arange(n), np.zeros(n))
-        return state
-
-    def _refresh(self, nodes: np.ndarray, earliest: Floats) -> None:
-        """Principal values and onset of `nodes`, none before `earliest`: the load rises linearly until `rise`."""
-        values, vectors = np.linalg.eigh(self.stress[nodes])
-        self.tension[nodes] = values[:, 2]
-        self.direction[nodes] = vectors[:, :, 2]
-        top = np.maximum(values[:, 2], 1e-9)
-        self.clarity[nodes] = np.clip((values[:, 2] - values[:, 1]) / top, 0, 1)
-        share = self.strength[nodes] / top
-        self.onset[nodes] = np.where(share <= 1, np.maximum(share * self.rise, earliest), np.inf)
+        self.stress = self.load.share(self.time) * self.elastic + self.solid.stress()
+        values, self.direction = principal(self.stress)
+        push = np.maximum(-values[:, 0], 0) / self.body.material.compressive_factor
+        self.stress[:, :3] += push[:, None]
+        self.tension = values[:, 2] + push
+        top = np.maximum(self.tension, 1e-9)
+        self.clarity = np.clip((values[:, 2] - values[:, 1]) / top, 0, 1)
 
     def field(self, values: Floats) -> Floats32:
         """Node values (n, ...) on the whole coarse lattice, continued outside by the nearest node."""
         return values[self.body.node_of].astype(np.float32)
 
-    def voigt_field(self) -> Floats32:
-        """Driving stress on the coarse lattice, shape (6, m, m, m)."""
-        return np.ascontiguousarray(np.moveaxis(self.field(voigt(self.stress)), -1, 0))
+    def at_peak(self) -> Floats32:
+        """Driving stress as it will be at peak load if nothing else cracks, shape (6, m, m, m)."""
+        share = self.load.share(self.time) if self.time < self.load.rise else 1.0
+        return np.ascontiguousarray(np.moveaxis(self.field(self.stress / share), -1, 0))
 
-    def relieve(
-        self, points: Floats, normals: Floats, arrival: Floats, *, size: float, speed: float, closest: float
-    ) -> None:
-        """A crack opened: release waves run from it at `speed` and unload what has not yet cracked (Mott 1947).
+    def spare(self, points: Floats, arrival: Floats, speed: float) -> None:
+        """A crack opened: release waves run from it at `speed`, and no crack starts behind them (Mott 1947)
+        before the next step has told what they leave.
 
-        points, normals (k, 3), arrival (k,) [s]: where, how and when it opened. The stress across the crack
-        vanishes beside it and returns over a distance of its `size` (Saint-Venant). A node whose own crack
-        starts before the wave is there is not stopped by it. Nodes nearer than `closest` start none."""
-        found = KDTree(points).query(self.body.nodes, distance_upper_bound=2 * size)
-        distance, index = (np.asarray(part) for part in found)
+        points (k, 3), arrival (k,) [s]: where and when it opened."""
+        due = np.flatnonzero(np.isfinite(self.onset))
+        distance, index = (np.asarray(part) for part in KDTree(points).query(self.body.nodes[due]))
+        self.onset[due[arrival[index] + distance / speed < self.onset[due]]] = np.inf
+
+    def crowd(self, points: Floats, closest: float) -> None:
+        """No crack starts nearer than `closest` [m] to `points` (k, 3) any more."""
+        distance, _ = KDTree(points).query(self.body.nodes, distance_upper_bound=closest)
         near = np.isfinite(distance)
-        wave = np.full(len(distance), np.inf)
-        wave[near] = arrival[index[near]] + distance[near] / speed
-        late = np.flatnonzero(near & (self.onset > wave))
-        normal = normals[index[late]]
-        across = np.einsum("ni,nij,nj->n", normal, self.stress[late], normal)
-        weight = np.where(across > 0, np.exp(-((distance[late] / size) ** 2)), 0.0)
-        keep = np.eye(3) - weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
-        self.stress[late] = keep @ self.stress[late] @ keep
-        spent = np.isinf(self.onset[late]) & (self.tension[late] >= self.strength[late])
-        self._refresh(late, wave[late])
-        self.onset[late[spent]] = np.inf
-        self.onset[distance < closest] = np.inf
-
-    def exhaust(self, seed: Floats, radius: float) -> None:
-        """No crack starts within `radius` of `seed` any more."""
-        self.onset[((self.body.nodes - seed) ** 2).sum(1) < radius**2] = np.inf
+        self.taken |= near
+        self.onset[near] = np.inf

@@ -1,0 +1,402 @@
+"""What cracks change in a loaded body: finite elements on the coarse lattice, parted where cracks run.
+
+The boundary elements give the stress of the uncracked body. A crack removes the traction on its faces; the answer
+of the cracked body to that removal, added to the uncracked state, is the state of the cracked body (Bueckner 1958).
+It is computed on cubes, one a cell of the coarse lattice, which share their corners unless a crack parts them:
+
+    M ü + K u = f,   f: minus the uncracked traction on both faces of every crack, scaled with the load,
+
+by implicit Euler steps, so that release waves leave a crack at their own speed, a severed piece flies off by its
+inertia instead of making the system singular, and what still hangs by a ligament pulls at the ligament. Faces
+that are pressed together carry the pressure (a penalty along the crack's normal, without friction).
+
+Cubes are trilinear with Wilson's incompatible modes, which bend without locking (Taylor, Beresford & Wilson 1976).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from deepfracture.types import BadInput, Floats, Ints
+
+Numbers = NDArray[np.int32]
+
+TOLERANCE = 0.01
+"""Residual of a step relative to its right-hand side: the stresses it is added to are no better known."""
+MOST_ITERATIONS = 400
+CONTACT_ROUNDS = 2
+"""Times that the set of pressed faces is corrected in a step."""
+CONTACT_STIFFNESS = 4.0
+"""Penalty of pressed faces over Young's modulus divided by the cell's side."""
+
+
+def elasticity(poisson: float) -> Floats:
+    """Hooke's law for a Young's modulus of one, shape (6, 6): xx, yy, zz, yz, xz, xy, shear strains doubled."""
+    law = np.zeros((6, 6))
+    law[:3, :3] = poisson / ((1 + poisson) * (1 - 2 * poisson))
+    law[np.arange(3), np.arange(3)] += 1 / (1 + poisson)
+    law[np.arange(3, 6), np.arange(3, 6)] = 0.5 / (1 + poisson)
+    return law
+
+
+def _strain_of(gradients: Floats) -> Floats:
+    """Strains (6, 3 k) of k functions with these gradients (k, 3), displacement components innermost."""
+    strain = np.zeros((6, 3 * len(gradients)))
+    for k, (x, y, z) in enumerate(gradients):
+        strain[:, 3 * k : 3 * k + 3] = [[x, 0, 0], [0, y, 0], [0, 0, z], [0, z, y], [z, 0, x], [y, x, 0]]
+    return strain
+
+
+CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+"""Corners of a cell, in the order of its degrees of freedom, shape (8, 3)."""
+
+
+def _corner_gradients(point: Floats) -> Floats:
+    """Gradients of the trilinear functions of a unit cube at `point` of [0, 1]^3, shape (8, 3)."""
+    value = np.where(CORNERS == 1, point, 1 - np.asarray(point))
+    slope = 2.0 * CORNERS - 1
+    return np.stack([slope[:, a] * value[:, (a + 1) % 3] * value[:, (a + 2) % 3] for a in range(3)], axis=1)
+
+
+@cache
+def cube_stiffness(poisson: float) -> Floats:
+    """Stiffness of a cube of side one and Young's modulus one, shape (24, 24); scales with modulus and side."""
+    law = elasticity(poisson)
+    full = np.zeros((33, 33))
+    for point in 0.5 + (CORNERS - 0.5) / np.sqrt(3):
+        bending = np.diag(-4 * (2 * point - 1))  # of 1 - ξ^2, ξ = 2 x - 1, and so on
+        strain = np.concatenate([_strain_of(_corner_gradients(point)), _strain_of(bending)], axis=1)
+        full += strain.T @ law @ strain / 8
+    kept, inner = full[:24, :24], full[24:, 24:]
+    stiffness = kept - full[:24, 24:] @ np.linalg.solve(inner, full[24:, :24])
+    return (stiffness + stiffness.T) / 2
+
+
+@cache
+def _modal_stiffness(poisson: float) -> Floats:
+    """`cube_stiffness` between sums and differences over opposite corners (Hadamard), shape (8, 3, 3).
+
+    A cube is its own mirror image in three planes, so modes of unlike symmetry do not mix: component i of mode
+    p = c ^ (4 >> i) belongs to class c, and 576 numbers become eight blocks of nine."""
+    pair = np.array([[1, 1], [1, -1]])
+    modes = np.kron(np.kron(np.kron(pair, pair), pair), np.eye(3))
+    full = modes @ cube_stiffness(poisson) @ modes / 64
+    own = np.array([[3 * (c ^ (4 >> i)) + i for i in range(3)] for c in range(8)])
+    return np.ascontiguousarray(full[own[:, :, None], own[:, None, :]])
+
+
+@njit(cache=True)
+def _find(parent, a):
+    while parent[a] != a:
+        a = parent[a]
+    return a
+
+
+@njit(cache=True)
+def _number_corners(index, parted, cells):
+    """Node of each corner of each cell, shape (n, 8): cells share a corner if a chain of whole faces joins them."""
+    m = index.shape[0]
+    corner = np.full((len(cells), 8), -1, np.int32)
+    around = np.empty(8, np.int32)
+    parent = np.empty(8, np.int32)
+    node_of = np.empty(8, np.int32)
+    nodes = 0
+    for q in range(len(cells)):
+        for k in range(8):
+            if corner[q, k] >= 0:
+                continue
+            x, y, z = cells[q, 0] + (k >> 2), cells[q, 1] + ((k >> 1) & 1), cells[q, 2] + (k & 1)
+            for s in range(8):
+                a, b, c = x - 1 + (s >> 2), y - 1 + ((s >> 1) & 1), z - 1 + (s & 1)
+                inside = 0 <= a < m and 0 <= b < m and 0 <= c < m
+                around[s] = index[a, b, c] if inside else -1
+                parent[s] = s
+                node_of[s] = -1
+            for s in range(8):
+                for axis in range(3):
+                    step = 4 >> axis
+                    if s & step or around[s] < 0 or around[s + step] < 0 or parted[around[s], axis]:
+                        continue
+                    p, r = _find(parent, s), _find(parent, s + step)
+                    parent[max(p, r)] = min(p, r)
+            for s in range(8):
+                if around[s] < 0:
+                    continue
+                root = _find(parent, s)
+                if node_of[root] < 0:
+                    node_of[root] = nodes
+                    nodes += 1
+                corner[around[s], 7 - s] = node_of[root]
+    return corner, nodes
+
+
+@njit(cache=True)
+def _turn(modes):
+    """Sums and differences over opposite corners along each axis, in place, shape (8, 3)."""
+    for step in (1, 2, 4):
+        for k in range(8):
+            if not k & step:
+                for i in range(3):
+                    a, b = modes[k, i], modes[k + step, i]
+                    modes[k, i], modes[k + step, i] = a + b, a - b
+
+
+@njit(cache=True)
+def _multiply(corner, blocks, scale, u, out):
+    """Add the stiffness of the cells times u (n, 3) to out."""
+    m, y = np.empty((8, 3)), np.empty((8, 3))
+    for cell in range(len(corner)):
+        for k in range(8):
+            node = corner[cell, k]
+            for i in range(3):
+                m[k, i] = scale * u[node, i]
+        _turn(m)
+        for c in range(8):
+            m0, m1, m2 = m[c ^ 4, 0], m[c ^ 2, 1], m[c ^ 1, 2]
+            y[c ^ 4, 0] = blocks[c, 0, 0] * m0 + blocks[c, 0, 1] * m1 + blocks[c, 0, 2] * m2
+            y[c ^ 2, 1] = blocks[c, 1, 0] * m0 + blocks[c, 1, 1] * m1 + blocks[c, 1, 2] * m2
+            y[c ^ 1, 2] = blocks[c, 2, 0] * m0 + blocks[c, 2, 1] * m1 + blocks[c, 2, 2] * m2
+        _turn(y)
+        for k in range(8):
+            node = corner[cell, k]
+            for i in range(3):
+                out[node, i] += y[k, i]
+
+
+@njit(cache=True)
+def _gap(corner, face, normal, u):
+    """How far the two sides of a face (cell, cell beyond, axis) have moved apart along its normal."""
+    low, high, axis = face
+    step = 4 >> axis
+    gap = 0.0
+    for k in range(8):
+        if k & step:
+            a, b = corner[low, k], corner[high, k - step]
+            for i in range(3):
+                gap += 0.25 * (u[b, i] - u[a, i]) * normal[i]
+    return gap
+
+
+@njit(cache=True)
+def _push(corner, face, force, out):
+    """Add `force` on the lower side of a face and its opposite on the upper side, spread over the corners."""
+    low, high, axis = face
+    step = 4 >> axis
+    for k in range(8):
+        if k & step:
+            a, b = corner[low, k], corner[high, k - step]
+            for i in range(3):
+                out[a, i] += 0.25 * force[i]
+                out[b, i] -= 0.25 * force[i]
+
+
+@njit(cache=True)
+def _press(corner, faces, normals, closed, stiffness, u, out):
+    """Add the resistance of closed faces to out."""
+    for q in range(len(faces)):
+        if closed[q]:
+            gap = _gap(corner, faces[q], normals[q], u)
+            _push(corner, faces[q], -stiffness * gap * normals[q], out)
+
+
+@njit(cache=True)
+def _closed(corner, faces, normals, u):
+    closed = np.zeros(len(faces), np.bool_)
+    for q in range(len(faces)):
+        closed[q] = _gap(corner, faces[q], normals[q], u) < 0
+    return closed
+
+
+@njit(cache=True)
+def _times(corner, blocks, scale, mass, faces, normals, closed, penalty, u, out):
+    """out = (mass + stiffness + resistance of closed faces) u."""
+    for node in range(len(u)):
+        for i in range(3):
+            out[node, i] = mass[node] * u[node, i]
+    _multiply(corner, blocks, scale, u, out)
+    _press(corner, faces, normals, closed, penalty, u, out)
+
+
+@njit(cache=True)
+def _dot(a, b):
+    total = 0.0
+    for node in range(len(a)):
+        total += a[node, 0] * b[node, 0] + a[node, 1] * b[node, 1] + a[node, 2] * b[node, 2]
+    return total
+
+
+@njit(cache=True)
+def _conjugate_gradients(
+    corner, blocks, scale, mass, diagonal, faces, normals, closed, penalty, right, x, tolerance, most
+):
+    """Solve for x, in place from its value, preconditioned by the `diagonal` (n,). Returns the iterations."""
+    moved = np.empty_like(x)
+    _times(corner, blocks, scale, mass, faces, normals, closed, penalty, x, moved)
+    residual = right - moved
+    load = np.empty_like(x)
+    for node in range(len(x)):
+        for i in range(3):
+            load[node, i] = right[node, i] - mass[node] * x[node, i]
+    enough = tolerance**2 * _dot(load, load)
+    z = residual / diagonal.reshape(-1, 1)
+    direction, product = z.copy(), _dot(residual, z)
+    for iteration in range(most):
+        if _dot(residual, residual) <= enough:
+            return iteration
+        _times(corner, blocks, scale, mass, faces, normals, closed, penalty, direction, moved)
+        length = product / _dot(direction, moved)
+        before, product = product, 0.0
+        for node in range(len(x)):
+            for i in range(3):
+                x[node, i] += length * direction[node, i]
+                residual[node, i] -= length * moved[node, i]
+                z[node, i] = residual[node, i] / diagonal[node]
+                product += residual[node, i] * z[node, i]
+        share = product / before
+        for node in range(len(x)):
+            for i in range(3):
+                direction[node, i] = z[node, i] + share * direction[node, i]
+    return most
+
+
+@njit(cache=True)
+def _release(corner, faces, tractions, area, out):
+    """Add the loads that take `tractions` (on the lower side, n outward) off both sides of the faces."""
+    for q in range(len(faces)):
+        _push(corner, faces[q], -area * tractions[q], out)
+
+
+@dataclass(eq=False)
+class CrackedSolid:
+    """The change of displacement that cracks make. Starts uncracked and at rest; `part`, then `advance`."""
+
+    cells: Ints
+    """Index of each cell on its lattice, shape (n, 3)."""
+    spacing: float
+    """Side of a cell [m]."""
+    young: float
+    poisson: float
+    density: float
+    index: Numbers
+    """Number of the cell at each place of the lattice, -1 where there is none, shape (m, m, m)."""
+    parted: NDArray[np.uint8]
+    """Whether the face towards the next cell along each axis is open, shape (n, 3)."""
+    corner: Numbers
+    """Node of each corner, shape (n, 8)."""
+    displacement: Floats
+    """[m], shape (nodes, 3)."""
+    velocity: Floats
+    """[m/s], shape (nodes, 3)."""
+    faces: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    """Open faces: cell, cell beyond, axis, shape (f, 3)."""
+    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """Crack normal at each open face, towards the cell beyond, shape (f, 3)."""
+    contact: bool = True
+    """Whether faces that are pressed together carry the pressure."""
+    iterations: int = 0
+    """Of the conjugate gradients, in all."""
+
+    @staticmethod
+    def on(
+        inside: NDArray[np.bool_], *, spacing: float, young: float, poisson: float, density: float, contact: bool = True
+    ) -> CrackedSolid:
+        """A whole solid of the cells where `inside` (m, m, m) is true."""
+        if not inside.any():
+            raise BadInput("inside must contain at least one cell")
+        cells = np.argwhere(inside)
+        index = np.full(inside.shape, -1, np.int32)
+        index[inside] = np.arange(len(cells))
+        parted = np.zeros((len(cells), 3), np.uint8)
+        corner, nodes = _number_corners(index, parted, cells)
+        still = np.zeros((nodes, 3))
+        return CrackedSolid(
+            cells, spacing, young, poisson, density, index, parted, corner, still, still.copy(), contact=contact
+        )
+
+    @property
+    def openings(self) -> Floats:
+        """How far the two sides of each open face stand apart [m], shape (f, 3)."""
+        return self._mean(self.faces[:, 1], self.faces[:, 2], 0) - self._mean(self.faces[:, 0], self.faces[:, 2], 1)
+
+    def part(self, faces: Ints, normals: Floats) -> None:
+        """Open faces (cell, cell beyond, axis), shape (k, 3), with the crack's `normals` (k, 3) towards beyond."""
+        new = self.parted[faces[:, 0], faces[:, 2]] == 0
+        if not new.any():
+            return
+        faces, normals = faces[new], normals[new]
+        self.parted[faces[:, 0], faces[:, 2]] = 1
+        old, before = self.corner, (self.displacement, self.velocity)
+        self.corner, nodes = _number_corners(self.index, self.parted, self.cells)
+        self.displacement, self.velocity = (self._renumbered(old, value, nodes) for value in before)
+        self.faces = np.concatenate([self.faces, faces])
+        self.normals = np.concatenate([self.normals, normals])
+
+    def advance(self, stress: Floats, step: float) -> None:
+        """One implicit Euler step of `step` seconds (inf: to rest) under the uncracked `stress` (n, 6) [Pa]."""
+        if not len(self.faces):
+            return
+        load = np.zeros_like(self.displacement)
+        _release(self.corner, self.faces, self._tractions(stress), self.spacing**2, load)
+        mass = self._masses() / step**2
+        guess = self.displacement + (self.velocity * step if np.isfinite(step) else 0.0)
+        right = load + mass[:, None] * guess
+        moved = guess.copy()
+        closed = self._closed(moved)
+        for _ in range(CONTACT_ROUNDS):
+            moved = self._solve(right, mass, closed, moved)
+            now = self._closed(moved)
+            if (now == closed).all():
+                break
+            closed = now
+        if np.isfinite(step):
+            self.velocity = (moved - self.displacement) / step
+        self.displacement = moved
+
+    def stress(self) -> Floats:
+        """What the cracks add to the stress at the cells' centres [Pa], shape (n, 6): xx, yy, zz, yz, xz, xy."""
+        centre = _strain_of(_corner_gradients(np.full(3, 0.5)))
+        law = self.young / self.spacing * elasticity(self.poisson) @ centre
+        return self.displacement[self.corner].reshape(-1, 24) @ law.T
+
+    def _solve(self, right: Floats, mass: Floats, closed: NDArray[np.bool_], start: Floats) -> Floats:
+        """The displacement (nodes, 3) that balances `right` with `mass` [N/m] and these faces closed."""
+        blocks, scale = _modal_stiffness(self.poisson), self.young * self.spacing
+        touching = np.bincount(self.corner.ravel(), minlength=len(start))
+        diagonal = mass + scale * touching * np.trace(blocks.sum(axis=0)) / 3
+        moved = start.copy()
+        self.iterations += _conjugate_gradients(
+            self.corner, blocks, scale, mass, diagonal, self.faces, self.normals, closed,
+            CONTACT_STIFFNESS * scale, right, moved, TOLERANCE, MOST_ITERATIONS,
+        )  # fmt: skip
+        return moved
+
+    def _closed(self, displacement: Floats) -> NDArray[np.bool_]:
+        """Which open faces are pressed together."""
+        if not self.contact:
+            return np.zeros(len(self.faces), bool)
+        return _closed(self.corner, self.faces, self.normals, displacement)
+
+    def _tractions(self, stress: Floats) -> Floats:
+        """Uncracked traction on the lower side of each open face [Pa], shape (f, 3)."""
+        mean = 0.5 * (stress[self.faces[:, 0]] + stress[self.faces[:, 1]])
+        rows = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+        return np.take_along_axis(mean, rows[self.faces[:, 2]], axis=1)
+
+    def _masses(self) -> Floats:
+        share = self.density * self.spacing**3 / 8
+        return share * np.bincount(self.corner.ravel(), minlength=len(self.displacement)).astype(float)
+
+    def _renumbered(self, old: Numbers, values: Floats, nodes: int) -> Floats:
+        new = np.zeros((nodes, 3))
+        new[self.corner.ravel()] = values[old.ravel()]
+        return new
+
+    def _mean(self, cells: Ints, axes: Ints, side: int) -> Floats:
+        """Mean displacement of the corners of `cells` on one side along `axes`, shape (f, 3)."""
+        on_side = CORNERS.T[axes] == side  # (f, 8)
+        return np.einsum("fk,fki->fi", on_side / 4, self.displacement[self.corner[cells]])
