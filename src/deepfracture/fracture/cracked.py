@@ -100,7 +100,7 @@ def _find(parent, a):
 @njit(cache=True)
 def _number_corners(index, parted, cells):
     """Node of each corner of each cell, shape (n, 8): cells share a corner if a chain of whole faces joins them."""
-    m = index.shape[0]
+    nx, ny, nz = index.shape
     corner = np.full((len(cells), 8), -1, np.int32)
     around = np.empty(8, np.int32)
     parent = np.empty(8, np.int32)
@@ -113,7 +113,7 @@ def _number_corners(index, parted, cells):
             x, y, z = cells[q, 0] + (k >> 2), cells[q, 1] + ((k >> 1) & 1), cells[q, 2] + (k & 1)
             for s in range(8):
                 a, b, c = x - 1 + (s >> 2), y - 1 + ((s >> 1) & 1), z - 1 + (s & 1)
-                inside = 0 <= a < m and 0 <= b < m and 0 <= c < m
+                inside = 0 <= a < nx and 0 <= b < ny and 0 <= c < nz
                 around[s] = index[a, b, c] if inside else -1
                 parent[s] = s
                 node_of[s] = -1
@@ -283,7 +283,7 @@ class CrackedSolid:
     poisson: float
     density: float
     index: Numbers
-    """Number of the cell at each place of the lattice, -1 where there is none, shape (m, m, m)."""
+    """Number of the cell at each place of the lattice, -1 where there is none, shape (nx, ny, nz)."""
     parted: NDArray[np.uint8]
     """Whether the face towards the next cell along each axis is open, shape (n, 3)."""
     corner: Numbers
@@ -305,7 +305,7 @@ class CrackedSolid:
     def on(
         inside: NDArray[np.bool_], *, spacing: float, young: float, poisson: float, density: float, contact: bool = True
     ) -> CrackedSolid:
-        """A whole solid of the cells where `inside` (m, m, m) is true."""
+        """A whole solid of the cells where `inside` (nx, ny, nz) is true."""
         if not inside.any():
             raise BadInput("inside must contain at least one cell")
         cells = np.argwhere(inside)
