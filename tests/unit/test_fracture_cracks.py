@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfracture.fracture import material, prepare_body, simulate
+from deepfracture.fracture import Mechanisms, material, prepare_body, simulate
 from deepfracture.fracture.lattice import Lattice
 from deepfracture.fracture.separate import fragments_of, merge_dust
 from deepfracture.fracture.variation import random_field
@@ -130,3 +130,53 @@ def test_random_fields_have_unit_variance_and_the_length_asked_for() -> None:
     assert np.std(fields[0]) == pytest.approx(1, abs=1e-3)
     # white noise smoothed to exp(-d^2 / (2 length^2)): e^-1/2 at d = length
     assert np.mean(correlation) == pytest.approx(np.exp(-0.5), abs=0.06)
+
+
+def test_cracks_that_let_go_of_nothing_crowd(bar) -> None:
+    def cracks(mechanisms: Mechanisms) -> int:
+        runs = [simulate(bar, hit(0.1, 12.0), np.random.default_rng(seed), mechanisms=mechanisms) for seed in range(3)]
+        return sum(run.cracks for run in runs if run)
+
+    assert cracks(Mechanisms(release=False)) > 1.3 * cracks(Mechanisms())
+
+
+@pytest.mark.parametrize("name", ["contact", "mouth"])
+def test_each_mechanism_can_be_turned_off_and_does_something(bar, name: str) -> None:
+    whole, without = (
+        [simulate(bar, hit(0.1, 40.0), np.random.default_rng(seed), mechanisms=kind) for seed in range(2)]
+        for kind in (Mechanisms(), Mechanisms(**{name: False}))
+    )
+    assert any(a.pattern.labels.tobytes() != b.pattern.labels.tobytes() for a, b in zip(whole, without, strict=True))
+
+
+def test_what_is_severed_on_the_fine_lattice_is_severed_in_the_elements() -> None:
+    """Cells of the coarse lattice that still hang together lie in one fragment."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    from deepfracture.fracture.cracked import CrackedSolid
+    from deepfracture.fracture.growth import Crack, Front
+    from deepfracture.fracture.openings import Openings
+    from deepfracture.fracture.separate import open_faces
+
+    body = prepare_body(builtin("bar"), PLASTER, Grid(64))
+    normal = np.array([0.8, 0.6, 0.0])
+    fine = body.fine
+    offset = (fine.centres() - [0.11, 0.02, 0.0]) @ normal
+    voxels = np.argwhere((np.abs(offset) < 1.5 * fine.spacing) & (body.sdf > -fine.spacing))
+    crack = Crack(voxels, offset[tuple(voxels.T)], np.tile(normal, (len(voxels), 1)), np.full(len(voxels), 1e-4))
+    front, position = Front.on(fine), np.zeros(fine.shape, np.int32)
+    front.status[tuple(voxels.T)] = 1
+    open_faces(crack, front, position)
+    inside = np.zeros(body.coarse.shape, bool)
+    inside[tuple(body.cells.T)] = True
+    solid = CrackedSolid.on(inside, spacing=body.coarse.spacing, young=1.0, poisson=0.2, density=1.0)
+    openings = Openings.none(solid).add(body, crack, front, position)
+    assert len(openings) and openings.normals @ normal == pytest.approx(1)
+    assert not len(openings.release(solid, 0.5e-4).release(solid, 1e-4))
+    links = coo_array((np.ones(solid.corner.size), (np.repeat(np.arange(len(solid.corner)), 8), solid.corner.ravel())))
+    count, piece = connected_components(links @ links.T, directed=False)
+    assert count == 2
+    away = np.abs((body.nodes - [0.11, 0.02, 0.0]) @ normal) > fine.spacing
+    beyond = (body.nodes - [0.11, 0.02, 0.0]) @ normal > 0
+    assert len(np.unique(piece[away & beyond])) == len(np.unique(piece[away & ~beyond])) == 1

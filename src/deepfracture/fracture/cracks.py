@@ -104,8 +104,6 @@ class Cracks:
         if within.any():
             points = body.fine.first_centre + body.fine.spacing * crack.voxels[within].astype(float)
             state.crowd(points, closest)
-            if self.mechanisms.waves:
-                state.spare(points, crack.arrival[within], ramp.speed)
         front.clear(crack)
 
     def _sheet(self, node: int, seed: Floats) -> Floats32:

@@ -141,15 +141,6 @@ class StressState:
         share = self.load.share(self.time) if self.time < self.load.rise else 1.0
         return np.ascontiguousarray(np.moveaxis(self.field(self.stress / share), -1, 0))
 
-    def spare(self, points: Floats, arrival: Floats, speed: float) -> None:
-        """A crack opened: release waves run from it at `speed`, and no crack starts behind them (Mott 1947)
-        before the next step has told what they leave.
-
-        points (k, 3), arrival (k,) [s]: where and when it opened."""
-        due = np.flatnonzero(np.isfinite(self.onset))
-        distance, index = (np.asarray(part) for part in KDTree(points).query(self.body.nodes[due]))
-        self.onset[due[arrival[index] + distance / speed < self.onset[due]]] = np.inf
-
     def crowd(self, points: Floats, closest: float) -> None:
         """No crack starts nearer than `closest` [m] to `points` (k, 3) any more."""
         distance, _ = KDTree(points).query(self.body.nodes, distance_upper_bound=closest)
