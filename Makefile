@@ -11,14 +11,14 @@ demo: $(INSTALLED)
 	$(BIN)/deepfracture shatter pot --out shattered
 
 test: $(TESTED)
-	$(BIN)/ruff check src tests
-	$(BIN)/ruff format --check src tests
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/ruff format --check src tests benchmarks
 	$(BIN)/pyright
 	$(BIN)/pytest
 
 lint: $(TESTED)
-	$(BIN)/ruff check --fix src tests
-	$(BIN)/ruff format src tests
+	$(BIN)/ruff check --fix src tests benchmarks
+	$(BIN)/ruff format src tests benchmarks
 	$(BIN)/pyright
 
 $(BIN)/python:

@@ -92,11 +92,15 @@ class Shape:
     """User length per body-frame unit."""
     centre: Floats = field(default_factory=lambda: np.zeros(3))
     """Centre of the box in user coordinates, shape (3,)."""
+    size: float = 1.0
+    """Metres per body-frame unit: 1, except for a fragment that may break again."""
+    whole: Shape | None = None
+    """What it is a fragment of."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", _array("centre", self.centre, float, (3,)))
-        if not self.scale > 0:
-            raise BadInput(f"scale must be positive, got {self.scale}")
+        if not self.scale > 0 or not self.size > 0:
+            raise BadInput(f"scale and size must be positive, got {self.scale} and {self.size}")
 
     def to_user(self, points: ArrayLike) -> Floats:
         """Body-frame points in the coordinates of the user's file."""
@@ -294,7 +298,8 @@ class Fragments:
 class Breaker(Protocol):
     """The one seam between the world and whatever knows how things break.
 
-    Returns None when the collision does not break the shape."""
+    Returns None when the collision does not break the shape. A fragment that may break again comes as a
+    shape with a `size` of its own and an impact scaled to it (`world.pieces`)."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None: ...
 
@@ -305,7 +310,7 @@ class Track:
 
     name: str
     kind: str
-    """"shape" (whole), "fragment", "ball" or "floor"."""
+    """"shape" (whole), "fragment", "ball", "floor" or "block"."""
     mesh: Mesh
     """In the body's own frame; poses carry this frame to the world."""
     source: Ints | None
@@ -321,8 +326,8 @@ class Track:
         n = len(self.positions)
         object.__setattr__(self, "positions", _array("positions", self.positions, float, (n, 3)))
         object.__setattr__(self, "quats_wxyz", _array("quats_wxyz", self.quats_wxyz, float, (n, 4)))
-        if self.kind not in ("shape", "fragment", "ball", "floor"):
-            raise BadInput(f"kind must be shape, fragment, ball or floor, got {self.kind!r}")
+        if self.kind not in ("shape", "fragment", "ball", "floor", "block"):
+            raise BadInput(f"kind must be shape, fragment, ball, floor or block, got {self.kind!r}")
 
     @property
     def stop(self) -> int:

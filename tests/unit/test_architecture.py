@@ -18,7 +18,9 @@ ARROWS = {
     "dataset": {"geometry", "fracture", "carve", "world"},
     "learn": {"geometry", "carve", "dataset"},
     "breakers": {"geometry", "fracture", "carve", "dataset", "learn"},
+    "validation": {"geometry", "fracture", "world"},
     "viewer": {"world", "export"},
+    "bench": {"geometry", "fracture", "carve", "world", "export", "dataset", "learn", "breakers", "viewer"},
 }
 HEAVY = {
     "torch": {"learn"},

@@ -117,10 +117,11 @@ def test_dust_joins_the_neighbour_it_touches_most() -> None:
     assert (merged == np.where(labels == 2, 2, 1)).all()
 
 
-def test_dust_that_touches_nothing_stays() -> None:
-    labels = np.zeros((5, 5, 5), np.int32)
-    labels[0, 0, 0], labels[3:, 3:, 3:] = 1, 2
-    assert merge_dust(labels, 4).max() == 2
+def test_dust_that_touches_nothing_joins_the_nearest_piece() -> None:
+    labels = np.zeros((5, 5, 9), np.int32)
+    labels[0, 0, 0], labels[3:, 3:, 3:5], labels[:2, :2, 7:] = 1, 2, 3
+    assert (merge_dust(labels, 4) == np.where(labels == 3, 2, labels > 0)).all()
+    assert merge_dust(np.where(labels == 1, labels, 0), 4).max() == 1  # there is nothing else
 
 
 def test_random_fields_have_unit_variance_and_the_length_asked_for() -> None:

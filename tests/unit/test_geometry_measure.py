@@ -72,6 +72,15 @@ def test_lattice_steps_may_differ_and_a_limit_cuts_off():
     np.testing.assert_allclose(values, np.clip(exact, -0.25, 0.25), atol=1e-6)
 
 
+def test_distances_may_be_cut_off_outside_alone():
+    mesh = ball(0.2)
+    full = signed_distance_lattice(mesh, (-1.5, -1.5, -1.5), 0.1, (31, 31, 31))
+    near = signed_distance_lattice(mesh, (-1.5, -1.5, -1.5), 0.1, (31, 31, 31), outside=0.15)
+    assert (near == np.maximum(full, np.float32(-0.15))).all()
+    both = signed_distance_lattice(mesh, (-1.5, -1.5, -1.5), 0.1, (31, 31, 31), limit=0.1, outside=0.15)
+    assert (both == np.clip(full, np.float32(-0.1), np.float32(0.1))).all()
+
+
 def test_volume_inside_matches_the_divergence_theorem():
     mesh, grid = builtin("base").mesh, Grid(32)
     # The share of each voxel inside, for a flat surface through it.

@@ -13,11 +13,14 @@ from deepfracture.geometry import builtin, mass_properties, signed_distance_poin
 from deepfracture.types import Fragment, Fragments, Impact, Material, Mesh, Recording, Shape
 from deepfracture.world import (
     Ball,
+    Block,
     Floor,
     Outcome,
     Placed,
     Scene,
+    draw_scene,
     first_impact,
+    joint_impact,
     learning_scene,
     simulate,
     throw_scene,
@@ -40,7 +43,8 @@ def _pieces(mesh: Mesh, cuts: Sequence[Split]) -> Fragments:
     whole = manifold3d.Mesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
     parts = [manifold3d.Manifold(whole)]
     for normal, offset in cuts:
-        parts = [side for part in parts for side in part.split_by_plane(list(normal), offset)]
+        sides = (side for part in parts for side in part.split_by_plane(list(normal), offset))
+        parts = [side for side in sides if not side.is_empty()]
     solids = [solid for part in parts for solid in part.decompose() if solid.volume() > 1e-6]
     return Fragments(tuple(_fragment(solid) for solid in solids))
 
@@ -423,3 +427,189 @@ def test_what_did_not_break_may_break_later(engine: str) -> None:
     )
     assert [c.fragments is None for c in outcome.collisions] == [True, False]
     assert outcome.collisions[0].time < 0.6 < outcome.collisions[1].time
+
+
+@every_engine
+def test_a_block_answers_a_blow_that_it_carries(engine: str) -> None:
+    """A bar on a block struck from above goes nowhere, so the block gives back what the ball gave."""
+    shape = builtin("bar")
+    scene = Scene(
+        (Placed("bar", "stone"),),
+        (Ball(0.2, 7800, (0, 0, 0.7), (0, 0, -8)),),
+        gravity=0.0,
+        duration=0.2,
+        engine=engine,
+        blocks=(Block((0, 0, -0.7), (1.5, 1.0, 0.5)),),
+    )
+    impact = first_impact(scene, shape, materials=STONE)
+    assert impact is not None
+    up = impact.direction[:, 2] > 0
+    given, answered = impact.magnitude[~up].sum(), impact.magnitude[up].sum()
+    # The ball meets what cannot give way: m v (1 + e).
+    assert given == pytest.approx(1.2 * 8 * scene.balls[0].mass, rel=0.1)
+    assert answered == pytest.approx(given, rel=0.1)
+    np.testing.assert_allclose(impact.position[up, 2], -0.2, atol=1e-6)
+    # The answer may be the stronger, but the ball says how fast and how sharp the blow was.
+    assert impact.speed == pytest.approx(8, rel=0.01)
+    assert impact.radius == 0.2
+
+
+@every_engine
+def test_a_body_lies_on_a_turned_block(engine: str) -> None:
+    """A block on its side, twice as high as wide; the bar falls on it and stays."""
+    shape = builtin("bar")
+    half = 0.5**0.5
+    block = Block((0, 0, 1.0), (1.0, 0.5, 0.25), (half, 0.0, half, 0.0))  # its long side stands up
+    scene = Scene((Placed("bar", "stone", (0, 0, 2.3)),), floor=Floor(), blocks=(block,), duration=4.0, engine=engine)
+    recording = _run(scene, shape).recording
+    tracks = {track.name: track for track in recording.tracks}
+    assert tracks["shape0"].positions[-1][2] == pytest.approx(2.2, abs=0.01)
+    drawn = tracks["block0"]
+    assert drawn.kind == "block"
+    assert (drawn.start, drawn.stop) == (0, recording.frames)
+    corners = drawn.mesh.vertices @ rotation(drawn.quats_wxyz[-1]).T + drawn.positions[-1]
+    np.testing.assert_allclose(np.abs(corners - [0, 0, 1.0]).max(axis=0), [0.25, 0.5, 1.0], atol=1e-9)
+
+
+@every_engine
+def test_both_balls_of_a_dual_scene_count(engine: str) -> None:
+    shape = builtin("bar")
+    left, right = Ball(0.1, 7800, (0.5, -1, 0), (0, 10, 0)), Ball(0.1, 7800, (-0.5, 1, 0), (0, -5, 0))
+    scene = Scene((Placed("bar", "stone"),), (left, right), gravity=0.0, duration=1.0, engine=engine)
+    both = joint_impact(scene, shape, materials=STONE)
+    one = joint_impact(replace(scene, balls=(left,)), shape, materials=STONE)
+    assert both is not None
+    assert one is not None
+    assert len(one.magnitude) == 1
+    assert len(both.magnitude) == 2
+    # The first keeps all that it had alone; the second, at half the speed, hits the other side later.
+    assert both.magnitude[0] == one.magnitude[0]
+    assert both.speed == one.speed
+    assert both.direction[0] @ both.direction[1] < -0.8
+    assert both.position[0, 0] > 0.4 and both.position[1, 0] < -0.3
+    assert np.abs(signed_distance_points(shape.mesh, both.position)).max() < 1e-6
+
+
+@every_engine
+def test_a_ball_that_misses_leaves_the_other_alone(engine: str) -> None:
+    shape = builtin("bar")
+    hits, misses = Ball(0.1, 7800, (0, -1, 0), (0, 10, 0)), Ball(0.1, 7800, (0, 1, 3), (0, -10, 0))
+    scene = Scene((Placed("bar", "stone"),), (hits, misses), gravity=0.0, duration=0.5, engine=engine)
+    impact = joint_impact(scene, shape, materials=STONE)
+    assert impact is not None
+    assert len(impact.magnitude) == 1
+    assert joint_impact(replace(scene, balls=(misses,)), shape, materials=STONE) is None
+
+
+@every_engine
+@pytest.mark.parametrize("name", ["bar", "mug"])
+def test_shear_scenes_load_a_shape_between_ball_and_edge(engine: str, name: str) -> None:
+    shape = builtin(name)
+    answered = []
+    for number in range(4):
+        rng = np.random.default_rng(number)
+        scene = draw_scene("shear", shape, rng, material="stone", speed=(6.0, 10.0), seed=0)
+        impact = joint_impact(scene, shape, materials=STONE, engine=engine)
+        assert impact is not None
+        turn = rotation(np.array(scene.shapes[0].quat_wxyz))
+        impulse = (impact.magnitude[:, None] * impact.direction) @ turn.T
+        ball = int(np.argmin(impulse[:, 2]))
+        answers = np.delete(impulse[:, 2], ball)
+        assert impulse[ball, 2] < 0
+        answered.append(answers[answers > 0].sum() / -impulse[ball, 2])
+    assert 0.5 < np.median(answered) < 1.2
+
+
+def _halver(asked: list[tuple[Shape, Impact]]) -> Callable[[Shape, Impact, np.random.Generator], Fragments]:
+    """Cuts whatever it is asked about across its longest axis, and remembers."""
+
+    def breaker(shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments:
+        asked.append((shape, impact))
+        normal = np.zeros(3)
+        normal[np.argmax(np.ptp(shape.mesh.bounds, axis=0))] = 1.0
+        return _pieces(shape.mesh, [(normal.tolist(), 0.03)])
+
+    return breaker
+
+
+@every_engine
+@pytest.mark.parametrize("generations", [0, 1, 2])
+def test_fragments_break_again_as_often_as_asked(engine: str, generations: int) -> None:
+    """A bar falls flat; its halves break where they land again."""
+    shape = builtin("bar")
+    asked: list[tuple[Shape, Impact]] = []
+    scene = Scene(
+        (Placed("bar", "stone", (0, 0, 1.5), (0.966, 0, 0.2588, 0)),),
+        floor=Floor(),
+        duration=2.0,
+        push=0.0,
+        engine=engine,
+        refracture=generations,
+    )
+    outcome = _run(scene, shape, _halver(asked))
+    assert max(c.generation for c in outcome.breaks) == generations
+    for struck, impact in asked:
+        assert (struck.whole is None) == (struck.size == 1.0)
+        np.testing.assert_allclose(np.ptp(struck.mesh.bounds, axis=0).max(), 2)
+        assert np.abs(signed_distance_points(struck.mesh, impact.position)).max() < 1e-6
+    # All pieces are in the frame of the whole and fill it, and none is lighter or heavier than it should be.
+    left: dict[str, Fragment] = {}
+    for collision in outcome.breaks:
+        left.pop(collision.body, None)
+        left |= {f"{collision.body}.{i:03d}": p for i, p in enumerate(collision.fragments or ())}
+        assert collision.shape is shape
+    assert sum(p.volume for p in left.values()) == pytest.approx(shape.mesh.volume, rel=1e-5)
+    assert sum(p.mass for p in left.values()) == pytest.approx(_mass(shape).mass, rel=1e-5)
+    centre = sum(p.mass * p.centre for p in left.values()) / _mass(shape).mass
+    np.testing.assert_allclose(centre, _mass(shape).centre, atol=1e-5)
+    tracks = {track.name: track for track in outcome.recording.tracks}
+    assert {name for name, track in tracks.items() if track.stop == outcome.recording.frames} == {*left, "floor"}
+    for collision in outcome.breaks:  # fragments of fragments start where what they come from was last
+        if collision.generation and collision.body in tracks and tracks[collision.body].stop > 1:
+            parent, child = tracks[collision.body], tracks[f"{collision.body}.000"]
+            assert child.start == parent.stop
+            assert np.linalg.norm(child.positions[0] - parent.positions[-1]) < 0.3
+
+
+@every_engine
+def test_breaking_again_conserves_momentum(engine: str) -> None:
+    """In empty space: two balls, one after the other, and a bar whose half breaks again."""
+    shape = builtin("bar")
+    asked: list[tuple[Shape, Impact]] = []
+    balls = (Ball(0.1, 7800, (0.4, -1, 0), (0, 8, 0)), Ball(0.1, 7800, (0.5, -2.5, 0), (0, 14, 0)))
+    scene = Scene(
+        (Placed("bar", "stone"),), balls, gravity=0.0, duration=0.5, engine=engine, refracture=1, restitution=0.0
+    )
+    outcome = _run(scene, shape, _halver(asked))
+    assert max(c.generation for c in outcome.breaks) == 1
+    masses = {
+        f"{c.body}.{i:03d}": Mass(p.mass, p.centre, p.inertia)
+        for c in outcome.breaks
+        for i, p in enumerate(c.fragments or ())
+    }
+    solids = {f"ball{i}": Mass(b.mass, np.zeros(3), np.eye(3)) for i, b in enumerate(balls)}
+    before = sum(np.array(ball.velocity) * ball.mass for ball in balls)
+    after = np.zeros(3)
+    for track in outcome.recording.tracks:
+        if track.stop == outcome.recording.frames:
+            mass = (masses | solids)[track.name]
+            ends = [
+                p + rotation(q) @ mass.centre for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)
+            ]
+            after += mass.mass * (ends[1] - ends[0]) / outcome.recording.frame_time
+    assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)
+
+
+def test_crumbs_do_not_break_again() -> None:
+    """What holds less than a fiftieth of the whole is never asked about."""
+    shape = builtin("bar")
+    asked: list[Shape] = []
+
+    def breaker(struck: Shape, impact: Impact, rng: np.random.Generator) -> Fragments:
+        asked.append(struck)
+        return _pieces(struck.mesh, [([1.0, 0, 0], offset) for offset in np.linspace(-0.97, 0.97, 60)])
+
+    scene = Scene((Placed("bar", "stone", (0, 0, 0.6)),), floor=Floor(), duration=1.5, refracture=3)
+    outcome = _run(scene, shape, breaker)
+    assert len(outcome.breaks[0].fragments or ()) > 50
+    assert [struck.whole for struck in asked] == [None]

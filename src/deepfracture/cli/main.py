@@ -84,6 +84,9 @@ def simulate(
     material: str = "plaster",
     resolution: int = 64,
     speed: tuple[float, float] = (4.0, 15.0),
+    scene: str = "single",
+    refracture: int = 0,
+    frames: int = 60,
     workers: int = 2,
     seed: int = 0,
     repair: bool = False,
@@ -97,6 +100,10 @@ def simulate(
         material: a whole-material preset.
         resolution: voxels along each axis.
         speed: slowest and fastest ball [m/s].
+        scene: single, dual (two balls), strength (one line, many speeds), points (one direction, many points) or
+            shear (beside the edge of a block).
+        refracture: generations of fragments that may break again when they meet each other or the ball ...
+        frames: ... within this many frames after the hit, at 60 a second.
         workers: processes.
         seed: the same seed gives the same bytes, however many workers.
         repair: mend a mesh that is not closed.
@@ -105,7 +112,7 @@ def simulate(
 
     run(
         shape, out=out, collisions=collisions, material=material, resolution=resolution, speed=speed,
-        workers=workers, seed=seed, repair=repair,
+        scene=scene, refracture=refracture, frames=frames, workers=workers, seed=seed, repair=repair,
     )  # fmt: skip
 
 
@@ -144,6 +151,42 @@ def info(path: Annotated[Positional[str], tyro.conf.arg(metavar="FILE")], /) -> 
     from .info import info as run
 
     run(path)
+
+
+@app.command
+def bench(
+    room: Annotated[Positional[str], tyro.conf.arg(metavar="ROOM")] = "all",
+    /,
+    shape: str = "pot",
+    resolution: int = 128,
+    json: Path | None = None,
+) -> None:
+    """Measure what each stage takes on this machine: seconds in the median of warm runs, and memory.
+
+    Args:
+        room: fracture, carve, learn, world or all.
+        shape: a mesh file, or a built-in shape.
+        resolution: voxels along each axis.
+        json: also write the rows to this file.
+    """
+    from .bench import bench as run
+
+    run(room, shape=shape, resolution=resolution, json_file=json)
+
+
+@app.command
+def validate(json: Path | None = None, plots: Path | None = None, quick: bool = False) -> None:
+    """Check the physics against closed forms. Exit status 0 only if every row is within its limit.
+
+    Args:
+        json: also write the rows to this file.
+        plots: also draw each case into this folder.
+        quick: smaller bodies and fewer repetitions, the same limits.
+    """
+    from .validate import validate as run
+
+    if not run(json_file=json, plots=plots, quick=quick):
+        sys.exit(1)
 
 
 @app.command

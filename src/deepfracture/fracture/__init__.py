@@ -4,7 +4,7 @@ from .body import FractureBody, prepare_body
 from .contact import breaks, critical_stress
 from .materials import MATERIALS, material
 from .mechanisms import Mechanisms
-from .similar import prepare_piece, similar
+from .similar import Pieces, prepare_piece, similar
 from .simulate import Cracking, simulate
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "Cracking",
     "FractureBody",
     "Mechanisms",
+    "Pieces",
     "breaks",
     "critical_stress",
     "material",

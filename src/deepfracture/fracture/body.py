@@ -8,19 +8,20 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from deepfracture.geometry import signed_distance_lattice
 from deepfracture.types import Floats, Floats32, Grid, Ints, Material, Shape
 
-from .cache import elastic_body
+from .cache import distances, elastic_body
 from .elastostatics import ElasticBody
 from .lattice import Lattice
 
 ELEMENTS = 1500
-"""Boundary elements of a body."""
+"""Boundary elements of a body, about."""
 STRESS_CELLS = 40
 """Cells of the coarse lattice along an axis: its cosine transforms are quick at this size."""
 SKIN = 0.25
 """Stress is evaluated no nearer to the surface than this share of a coarse cell."""
+SHELL = 4.0
+"""Distances on the fine lattice are cut off this many voxels outside: cracks run less than two past the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class FractureBody:
     fine: Lattice
     coarse: Lattice
     sdf: Floats32
-    """Distance to the surface on the fine lattice, positive inside [m]."""
+    """Distance to the surface on the fine lattice, positive inside, at least -`SHELL` voxels [m]."""
     nodes: Floats
     """Coarse centres at which stress is known [m], shape (n, 3)."""
     cells: Ints
@@ -68,15 +69,17 @@ def _local_thickness(sdf, spacing):
     return thickness
 
 
-def prepare_body(shape: Shape, material: Material, grid: Grid) -> FractureBody:
-    """Everything about `shape` that no collision changes; patterns will live on `grid`."""
-    elastic = elastic_body(shape.mesh, material.poisson, ELEMENTS)
+def prepare_body(
+    shape: Shape, material: Material, grid: Grid, *, elements: int = ELEMENTS, keep: bool = True
+) -> FractureBody:
+    """Everything about `shape` that no collision changes; patterns will live on `grid`.
+
+    Unless `keep`, nothing of it is kept on disk."""
+    elastic = elastic_body(shape.mesh, material.poisson, elements, keep=keep)
     fine = Lattice.fine(grid)
     coarse = fine.coarsened(STRESS_CELLS)
-    sdf, rough = (
-        signed_distance_lattice(shape.mesh, np.full(3, lattice.first_centre), lattice.spacing, lattice.shape)
-        for lattice in (fine, coarse)
-    )
+    sdf = distances(shape.mesh, fine, outside=SHELL * fine.spacing, keep=keep)
+    rough = distances(shape.mesh, coarse, outside=np.inf, keep=keep)
     known = rough > SKIN * coarse.spacing
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
@@ -88,7 +91,7 @@ def prepare_body(shape: Shape, material: Material, grid: Grid) -> FractureBody:
         area=float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum()),
         fine=fine,
         coarse=coarse,
-        sdf=sdf.astype(np.float32),
+        sdf=sdf,
         nodes=coarse.centres()[known],
         cells=np.argwhere(known),
         node_of=number[tuple(nearest)],

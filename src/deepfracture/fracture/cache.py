@@ -1,23 +1,28 @@
-"""Factorised boundary-element systems on disk: the factor belongs to the shape, not to the collision."""
+"""What is worked out once a shape, kept on disk: factorised boundary-element systems and distance lattices."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
-from deepfracture.geometry import remesh
-from deepfracture.progress import log
-from deepfracture.types import BadInput, Mesh
+from deepfracture.geometry import remesh, signed_distance_lattice
+from deepfracture.progress import log, stage
+from deepfracture.types import BadInput, Floats32, Mesh
 
 from .elastostatics import ElasticBody, prepare
+from .lattice import Lattice
 
 VERSION = 1
-"""Changes when the same mesh would be remeshed or factorised to something else."""
+"""Changes when the same mesh would be remeshed or factorised to something else, or its distances change."""
 KEPT = 6
-"""Bodies kept, the last used ones; each takes some 120 MB."""
+"""Files kept of each kind, the last used ones: a body takes some 120 MB, its distances at r = 128 10 MB."""
+
+T = TypeVar("T")
 
 
 def cache_folder() -> Path:
@@ -25,30 +30,80 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "deepfracture"
 
 
-def elastic_body(mesh: Mesh, poisson: float, elements: int) -> ElasticBody:
-    """The elastic body of a mesh with about `elements` triangles, from the cache where it is there."""
+def elastic_body(mesh: Mesh, poisson: float, elements: int, *, keep: bool = True) -> ElasticBody:
+    """The elastic body of a mesh with about `elements` triangles, from the cache where it is there.
+
+    Unless `keep`, the cache is neither read nor written."""
+
+    def make() -> ElasticBody:
+        with stage("remesh"):
+            coarse = remesh(mesh, elements)
+        with stage("boundary elements"):
+            return prepare(coarse, poisson)
+
+    if not keep:
+        return make()
+    return _kept(_path(mesh, f"{poisson!r} {elements} {VERSION}", "elastic"), ElasticBody.load, ElasticBody.save, make)
+
+
+def distances(mesh: Mesh, lattice: Lattice, *, outside: float, keep: bool = True) -> Floats32:
+    """Distance to the surface at the cells of `lattice` [m], positive inside, from the cache where it is there.
+
+    Outside the body distances above `outside` [m] are cut off at it: that spares most of the work.
+    Unless `keep`, the cache is neither read nor written."""
+
+    def make() -> Floats32:
+        corner = np.full(3, lattice.first_centre)
+        with stage("distances"):
+            return signed_distance_lattice(mesh, corner, lattice.spacing, lattice.shape, outside=outside)
+
+    if not keep:
+        return make()
+    return _kept(_path(mesh, f"{lattice} {outside!r} {VERSION}", "distances"), _load_array, _save_array, make)
+
+
+def _load_array(path: Path) -> Floats32:
+    try:
+        with open(path, "rb") as file:
+            return np.load(file, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise BadInput(f"{path}: not a saved distance lattice ({error})") from error
+
+
+def _save_array(values: Floats32, path: Path) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        np.save(file, values)
+    os.replace(temporary, path)
+
+
+def _path(mesh: Mesh, what: str, kind: str) -> Path:
     digest = hashlib.sha256(np.ascontiguousarray(mesh.vertices).tobytes() + mesh.faces.tobytes())
-    digest.update(f"{poisson!r} {elements} {VERSION}".encode())
-    path = cache_folder() / f"{digest.hexdigest()[:32]}.elastic"
-    if path.exists():
-        try:
-            body = ElasticBody.load(path)
-        except BadInput as damaged:
-            log.warning("%s; it is made anew", damaged)
-        else:
-            os.utime(path)
-            return body
-    body = prepare(remesh(mesh, elements), poisson)
+    digest.update(what.encode())
+    return cache_folder() / f"{digest.hexdigest()[:32]}.{kind}"
+
+
+def _kept(path: Path, load: Callable[[Path], T], save: Callable[[T, Path], None], make: Callable[[], T]) -> T:
+    """What `path` keeps, or what `make` makes: that is kept there for the next time."""
+    try:
+        kept = load(path)
+        os.utime(path)
+        return kept
+    except FileNotFoundError:
+        pass  # never made, or another process has just made room
+    except BadInput as damaged:
+        log.warning("%s; it is made anew", damaged)
+    made = make()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        body.save(path)
-        _prune(path.parent)
+        save(made, path)
+        _prune(path.parent, path.suffix)
     except OSError as error:  # a full or read-only disk costs time, not the result
         log.warning("%s: cannot keep the prepared body (%s)", path.parent, error.strerror)
-    return body
+    return made
 
 
-def _prune(folder: Path) -> None:
-    bodies = sorted(folder.glob("*.elastic"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in bodies[KEPT:]:
+def _prune(folder: Path, suffix: str) -> None:
+    files = sorted(folder.glob(f"*{suffix}"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in files[KEPT:]:
         path.unlink(missing_ok=True)

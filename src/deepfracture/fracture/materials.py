@@ -1,9 +1,14 @@
 """Whole brittle materials by name, typical values at room temperature.
 
-Elasticity, density and strength scatter by some 10 to 50 % between products of one name; the
-sources say what kind was meant. Roughness is an artistic choice in the frame where a shape is two
-metres long; the spread of the strength follows the Weibull modulus m of the material, as the
-standard deviation of its logarithm, 1.28 / m (Gumbel).
+Mechanics, measured on specimens: `young` [Pa], `poisson`, `density` [kg/m^3], tensile `strength` [Pa], `toughness`
+K_Ic [Pa sqrt(m)] and `compressive_factor`. They scatter by some 10 to 50 % between products of one name; the sources
+say what kind was meant. Where only a bending strength is known it stands for the tensile one, which is lower by up to
+a half, because more of a specimen is under the largest stress.
+
+Models for looks: `variation_spread`, `variation_length` [m] and `roughness` [m]. The spread is the standard deviation
+of the logarithm of strength between specimens, 1.28 / m for a Weibull modulus m (Gumbel); that it varies smoothly in
+space within one body, over `variation_length`, and that the toughness varies as much, are assumptions. Roughness is
+the amplitude of the waviness of crack surfaces where a shape is two metres long: chosen by eye, grains being finer.
 """
 
 from __future__ import annotations
@@ -13,9 +18,9 @@ from types import MappingProxyType
 from deepfracture.types import BadInput, Material
 
 _PRESETS = (
-    # Soda-lime float glass. EN 572-1: E 70 GPa, ν 0.2 (0.22 to 0.23 measured), 2500 kg/m^3, characteristic
-    # bending strength 45 MPa. K_Ic 0.76: Dowling, Mechanical Behavior of Materials, table 8.2.
-    # Compressive strength about 1 GPa: Ashby, Materials Selection in Mechanical Design, app. A. m = 6.
+    # Soda-lime float glass. EN 572-1: E 70 GPa, ν 0.2 (makers measure 72 GPa and 0.23), 2500 kg/m^3, characteristic
+    # bending strength 45 MPa (41 MPa in the mean for weathered panes: Pilkington ATS-129). K_Ic 0.76: Dowling,
+    # Mechanical Behavior of Materials, table 8.2. Compressive strength 1 GPa (makers' data sheets). m = 6.
     Material(
         "glass",
         young=70e9,
@@ -27,9 +32,9 @@ _PRESETS = (
         variation_spread=0.2,
         roughness=0.008,
     ),
-    # Earthenware to stoneware, as pots are made of. E 30 to 55 GPa, bending strength 20 to 40 MPa and
-    # K_Ic 0.7 to 1.2: fired triaxial clay bodies, Kingery, Bowen, Uhlmann, Introduction to Ceramics, ch. 15.
-    # Compressive strength about ten times the bending strength (ibid.). m = 8.
+    # Earthenware to stoneware, as pots are made of: typical values between porous earthenware (Kilikoglou, Vekinis,
+    # Maniatis 1995, Acta Metall. Mater. 43, 2959) and porcelain, below. Compressive over bending strength about ten,
+    # as in most dense ceramics (Kingery, Bowen, Uhlmann, Introduction to Ceramics, ch. 15). m = 8.
     Material(
         "ceramic",
         young=40e9,
@@ -42,7 +47,8 @@ _PRESETS = (
         roughness=0.015,
     ),
     # Hard porcelain, unglazed. IEC 60672-3 type C 110: bending strength at least 50 MPa, E at least 60 GPa,
-    # 2.2 g/cm^3 at least; K_Ic 1.0 to 1.3: Carty & Senapati 1998, J. Am. Ceram. Soc. 81, 3. m = 10.
+    # 2.2 g/cm^3 at least; K_Ic 1.0 to 1.3: reviewed by Carty & Senapati 1998, J. Am. Ceram. Soc. 81, 3.
+    # Compressive strength about 500 MPa. m = 10.
     Material(
         "porcelain",
         young=70e9,
@@ -55,8 +61,8 @@ _PRESETS = (
         roughness=0.01,
     ),
     # Limestone of middling grade, as sculptures and pedestals are made of. K_Ic 1.30: Dowling, table 8.2
-    # (dolomitic limestone). E, ν, compressive 100 MPa, tensile 8 MPa: Jaeger, Cook, Zimmerman,
-    # Fundamentals of Rock Mechanics, ch. 4 to 6. m = 5.
+    # (dolomitic limestone). E, ν, compressive 100 MPa (limestones: 30 to 250), tensile 8 MPa: Jaeger, Cook,
+    # Zimmerman, Fundamentals of Rock Mechanics, ch. 4 to 6. m = 5.
     Material(
         "stone",
         young=50e9,
@@ -68,9 +74,9 @@ _PRESETS = (
         variation_spread=0.25,
         roughness=0.025,
     ),
-    # Cast gypsum plaster, water to plaster 0.7, dry. E 4.5 GPa, ν 0.24, K_Ic 0.14: Vekinis, Ashby, Beaumont
-    # 1993, J. Mater. Sci. 28, 3221 (plaster of Paris as a model brittle material). Strength 3 MPa in
-    # tension, four times that in compression. m = 8.
+    # Cast gypsum plaster, water to plaster 0.7, dry: 69 lb/ft^3 (USG pottery plaster). E 4.5 GPa, ν 0.24, K_Ic 0.14:
+    # Vekinis, Ashby, Beaumont 1993, J. Mater. Sci. 28, 3221 (plaster of Paris as a model material for brittle porous
+    # solids). Strength 3 MPa in tension (5 to 7 in bending), four times that in compression (10 to 16 MPa). m = 8.
     Material(
         "plaster",
         young=4.5e9,

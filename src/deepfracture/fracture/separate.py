@@ -6,6 +6,7 @@ import heapq
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import distance_transform_edt
 
 from deepfracture.types import Floats, Labels
 
@@ -116,7 +117,8 @@ def _neighbours(labels: Labels) -> list[dict[int, int]]:
 def merge_dust(labels: Labels, smallest: int) -> Labels:
     """Give each piece below `smallest` voxels, smallest first, to the neighbour it shares most faces with.
 
-    Dust that touches nothing stays: it is a body of its own. Labels are renumbered without gaps."""
+    Dust that touches nothing goes to the nearest piece: voxels that hang by an edge in a thin tip. Labels are
+    renumbered without gaps."""
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     home = np.arange(len(sizes))
@@ -139,8 +141,19 @@ def merge_dust(labels: Labels, smallest: int) -> Labels:
             heapq.heappush(queue, (int(sizes[into]), int(into)))
     while (home[home] != home).any():  # what took a piece in may itself have joined another
         home = home[home]
-    kept = np.unique(home[sizes > 0])
-    return np.where(sizes > 0, np.searchsorted(kept, home) + 1, 0).astype(np.int32)[labels]
+    present = np.bincount(labels.ravel(), minlength=len(sizes)) > 0
+    present[0] = False
+    kept = np.unique(home[present])
+    merged = np.where(present, np.searchsorted(kept, home) + 1, 0).astype(np.int32)[labels]
+    large = np.append(False, sizes[kept] >= smallest)
+    return merged if large[1:].all() or not large.any() else _nearest_large(merged, large)
+
+
+def _nearest_large(labels: Labels, large: np.ndarray) -> Labels:
+    """Labels with only the `large` ones (by label) left, renumbered; their voxels take in the others."""
+    nearest = distance_transform_edt(~large[labels], return_distances=False, return_indices=True)
+    number = np.where(large, np.cumsum(large), 0).astype(np.int32)
+    return np.where(labels > 0, number[labels[tuple(np.asarray(nearest))]], 0).astype(np.int32)
 
 
 def fragments_of(inside: np.ndarray, cut: np.ndarray, smallest: int) -> Labels:

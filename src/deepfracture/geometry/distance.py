@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from deepfracture.geometry.kernels import STACK, Tree, height, nearest, offset, slice_at, tree_of, winding
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Mesh
+
+Flags = NDArray[np.bool_]
 
 
 class Closest(NamedTuple):
@@ -29,7 +31,10 @@ class Closest(NamedTuple):
 
 
 @njit(cache=True, parallel=True)
-def _fill_distances(tree: Tree, origin: Floats, step: Floats, limit: float, values: Floats32):  # pragma: no cover
+def _fill_distances(
+    tree: Tree, origin: Floats, step: Floats, inside: Flags, limit: float, outside: float, values: Floats32
+):  # pragma: no cover
+    """Distances up to `limit` where `inside`, up to `outside` elsewhere."""
     nx, ny, nz = values.shape
     for i in prange(nx):
         stack = np.empty(STACK, np.int64)
@@ -39,7 +44,8 @@ def _fill_distances(tree: Tree, origin: Floats, step: Floats, limit: float, valu
                 # Back and forth, so that the last voxel is always a neighbour of this one.
                 k = n if j % 2 == 0 else nz - 1 - n
                 x, y, z = origin[0] + i * step[0], origin[1] + j * step[1], origin[2] + k * step[2]
-                guess, square = nearest(x, y, z, tree, guess, limit * limit, stack)
+                most = limit if inside[i, j, k] else outside
+                guess, square = nearest(x, y, z, tree, guess, most * most, stack)
                 values[i, j, k] = np.sqrt(square)
 
 
@@ -129,9 +135,15 @@ def distance_lattice(
     limit: float = np.inf,
 ) -> Floats32:
     """Unsigned distance at lattice points; the mesh may be open. As `signed_distance_lattice`."""
+    return _distances(mesh, origin, spacing, np.ones(shape, np.bool_), limit, limit)
+
+
+def _distances(
+    mesh: Mesh, origin: ArrayLike, spacing: ArrayLike, inside: Flags, limit: float, outside: float
+) -> Floats32:
     start, step = _lattice(origin, spacing)
-    values = np.empty(shape, np.float32)
-    _fill_distances(_tree(mesh), start, step, float(limit), values)
+    values = np.empty(inside.shape, np.float32)
+    _fill_distances(_tree(mesh), start, step, inside, float(limit), float(outside), values)
     return values
 
 
@@ -142,14 +154,17 @@ def signed_distance_lattice(
     shape: tuple[int, int, int],
     *,
     limit: float = np.inf,
+    outside: float = np.inf,
 ) -> Floats32:
     """Exact signed distance [m] of a closed mesh at origin + index * spacing, + inside.
 
     origin: position of index (0, 0, 0), shape (3,), in the mesh's frame. spacing: one length or three.
     limit: larger distances are cut off at it, which saves most of the time when it is small.
+    outside: the same for points outside alone.
     Returns float32 of `shape`. Raises BadInput for a mesh without triangles or a spacing <= 0."""
-    values = distance_lattice(mesh, origin, spacing, shape, limit=limit)
-    np.negative(values, out=values, where=winding_lattice(mesh, origin, spacing, shape) <= 0)
+    inside = winding_lattice(mesh, origin, spacing, shape) > 0
+    values = _distances(mesh, origin, spacing, inside, limit, min(limit, outside))
+    np.negative(values, out=values, where=~inside)
     return values
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
@@ -88,7 +90,15 @@ def _offer(index: np.ndarray, nearest: np.ndarray, i: int, j: int, k: int, p: in
 def _propagate(index: np.ndarray, nearest: np.ndarray) -> None:
     """One raster pass forward and one backward: each voxel asks the 13 neighbours already seen."""
     r = nearest.shape[0]
-    squared = np.full(nearest.shape, np.inf, np.float32)
+    # A border of voxels that know nothing spares the bounds checks; neighbours are offsets in the flat array.
+    side = r + 2
+    known = np.full((side, side, side), -1, np.int32)
+    known[1:-1, 1:-1, 1:-1] = nearest
+    near: Any = known.ravel()
+    squared = np.full(near.size, np.inf, np.float32)
+    steps = np.empty(13, np.int64)
+    for n in range(13):
+        steps[n] = ((n // 9 - 1) * side + n // 3 % 3 - 1) * side + n % 3 - 1
     for step in (1, -1):
         start = 0 if step == 1 else r - 1
         for ii in range(r):
@@ -97,25 +107,23 @@ def _propagate(index: np.ndarray, nearest: np.ndarray) -> None:
                 j = start + step * jj
                 for kk in range(r):
                     k = start + step * kk
-                    best = nearest[i, j, k]
-                    least = squared[i, j, k]
+                    here = ((i + 1) * side + j + 1) * side + k + 1
+                    best = near[here]
+                    least = squared[here]
                     if best >= 0 and least == np.inf:
                         least = _squared(index, best, i, j, k)
                     tried = best
                     for n in range(13):
-                        x = i + step * (n // 9 - 1)
-                        y = j + step * (n // 3 % 3 - 1)
-                        z = k + step * (n % 3 - 1)
-                        if not (0 <= x < r and 0 <= y < r and 0 <= z < r):
-                            continue
-                        p = nearest[x, y, z]
-                        if p in (best, tried):  # in cells of one nearest point nothing is left to do
+                        p = near[here + step * steps[n]]
+                        if p in (tried, best) or p < 0:  # nothing to learn where one point is nearest
                             continue
                         tried = p
-                        if p >= 0 and _squared(index, p, i, j, k) < least:
-                            best, least = p, _squared(index, p, i, j, k)
-                    nearest[i, j, k] = best
-                    squared[i, j, k] = least
+                        away = _squared(index, p, i, j, k)
+                        if away < least:
+                            best, least = p, away
+                    near[here] = best
+                    squared[here] = least
+    nearest[:] = known[1:-1, 1:-1, 1:-1]
 
 
 @njit(cache=True)

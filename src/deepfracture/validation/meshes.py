@@ -1,4 +1,4 @@
-"""Closed meshes with known shape for the verification tests."""
+"""Closed meshes with known shape, for cases whose answer is known."""
 
 from __future__ import annotations
 

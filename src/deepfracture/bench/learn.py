@@ -1,0 +1,33 @@
+"""Load a trained model and predict."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepfracture.fracture import material
+from deepfracture.geometry import load_shape
+from deepfracture.learn import embedded_model, load_model, predict
+from deepfracture.types import Shape
+
+from .hits import random_hits
+from .paper import paper_seconds
+from .rows import Row, measure
+
+SHIPPED = "pot"
+"""The shape whose model is measured where the one asked for has none of its own."""
+
+
+def bench_learn(shape: Shape, resolution: int) -> list[Row]:
+    """Load and predict with the shipped model of `shape`, or that of the pot; `resolution` is the model's own."""
+    path = embedded_model(shape.name)
+    if path is None:
+        shape, path = load_shape(SHIPPED), embedded_model(SHIPPED)
+    assert path is not None, "the shipped model is part of the package"
+    model = load_model(path)
+    impact = random_hits(shape, material("plaster"), 1)[0]
+    own = model.body.grid.resolution
+    jobs = {
+        "load": lambda: load_model(path),
+        "predict": lambda: predict(model, impact, np.random.default_rng(0)),
+    }
+    return [measure(name, shape.name, own, job, paper_seconds(name, shape.name, own)) for name, job in jobs.items()]

@@ -1,0 +1,51 @@
+"""The rigid bodies: fragments enter, and a step with all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepfracture.carve import cut
+from deepfracture.fracture import material
+from deepfracture.geometry import signed_distance
+from deepfracture.progress import peak_mb
+from deepfracture.types import BadInput, Fragments, Grid, Material, Shape
+from deepfracture.world import Scene, throw_scene
+from deepfracture.world.stage import Hit, Stage
+
+from .pieces import cells
+from .rows import RUNS, Row, seconds
+
+STEPS = 60
+"""Steps of the engine that follow the break, a quarter of a second: fragments still touch each other."""
+
+
+def bench_world(shape: Shape, resolution: int) -> list[Row]:
+    """Add the fragments of a pattern of `pieces.CELLS` cells in the place of the shape, then step."""
+    grid, made_of = Grid(resolution), material("plaster")
+    pattern = cells(signed_distance(shape.mesh, grid), grid, np.random.default_rng(0))
+    fragments = cut(shape, pattern, density=made_of.density)
+    scene = throw_scene(shape.name, shape, np.random.default_rng(0), material=made_of.name)
+    runs = [_run(scene, shape, made_of, fragments) for _ in range(RUNS + 1)][1:]
+    added, stepped = np.median(np.array(runs), axis=0)
+    return [
+        Row(name, shape.name, resolution, float(spent), peak_mb())
+        for name, spent in ((f"add {len(fragments)} fragments", added), ("step", stepped))
+    ]
+
+
+def _run(scene: Scene, shape: Shape, made_of: Material, fragments: Fragments) -> tuple[float, float]:
+    """Seconds to add the fragments at the first hit, and of a step after that, in the median."""
+    stage = Stage(scene, [shape], {made_of.name: made_of})
+    try:
+        hit = _first_hit(stage)
+        added = seconds(lambda: stage.shatter(hit, fragments))
+        return added, float(np.median([seconds(lambda: list(stage.step())) for _ in range(STEPS)]))
+    finally:
+        stage.close()
+
+
+def _first_hit(stage: Stage) -> Hit:
+    for _ in range(int(stage.scene.duration * stage.scene.steps_per_second)):
+        for hit in stage.step():
+            return hit
+    raise BadInput("the ball of the measured scene misses the shape; try another shape")

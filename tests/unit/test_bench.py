@@ -1,0 +1,83 @@
+"""The benchmark's rows say what was measured; how long it took is nobody's promise."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from deepfracture.bench import BENCHES, Row, bench, table
+from deepfracture.bench.rows import share
+from deepfracture.geometry import load_shape
+from deepfracture.types import BadInput
+
+FIELDS = {"stage", "shape", "resolution", "seconds", "peak_mb", "reference", "reference_seconds"}
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr("deepfracture.bench.fracture.HITS", 2)
+        patch.setattr("deepfracture.bench.fracture.RUNS", 1)
+        return bench("all", load_shape("bar"), 32)
+
+
+def test_rows_have_all_fields_and_measure_something(rows: list[Row]) -> None:
+    for row in rows:
+        assert set(asdict(row)) == FIELDS
+        assert row.shape and row.seconds > 0 and row.peak_mb > 1
+        assert bool(row.reference) == (row.reference_seconds is not None)
+    assert len({(row.stage, row.shape) for row in rows}) == len(rows)
+
+
+def test_every_room_and_the_stages_of_a_hit_are_there(rows: list[Row]) -> None:
+    stages = [row.stage for row in rows]
+    wanted = {
+        "set-up, nothing cached",
+        "set-up, cached",
+        "hit",
+        "hit, strongest",
+        "hit / elastostatics",
+        "hit / cracks",
+    }
+    assert wanted | {"encode", "segment", "cut", "load", "predict", "step"} <= set(stages)
+    assert any(stage.startswith("add ") for stage in stages)
+    assert {row.reference_seconds for row in rows if row.stage == "hit"} == {35.0}
+
+
+def test_an_uncached_set_up_does_more_than_a_cached_one(rows: list[Row]) -> None:
+    parts = {row.stage for row in rows if row.stage.startswith("set-up / ")}
+    assert {"set-up / remesh", "set-up / boundary elements", "set-up / distances"} <= parts
+
+
+def test_shares_are_those_of_the_hit() -> None:
+    whole = Row("hit", "bar", 32, 2.0, 1.0)
+    part = Row("hit / cracks", "bar", 32, 0.5, 1.0)
+    assert share(part, [whole, part]) == 0.25
+    assert share(whole, [whole, part]) is None
+    assert share(Row("hit / cracks", "pot", 32, 0.5, 1.0), [whole, part]) is None
+
+
+def test_the_table_has_a_line_a_row(rows: list[Row]) -> None:
+    lines = table(rows).splitlines()
+    assert len(lines) == len(rows) + 1
+    for row, line in zip(rows, lines[1:], strict=True):
+        assert line.startswith(row.stage) and row.shape in line
+
+
+def test_unknown_rooms_are_refused() -> None:
+    with pytest.raises(BadInput, match=f"choose one of {', '.join(BENCHES)} or all"):
+        bench("kitchen", load_shape("bar"), 32)
+
+
+def test_the_command_writes_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from deepfracture.cli.bench import bench as command
+
+    row = Row("hit", "bar", 32, 2.0, 1.0)
+    monkeypatch.setattr("deepfracture.bench.BENCHES", {"fracture": lambda shape, resolution: [row]})
+    command("fracture", shape="bar", resolution=32, json_file=tmp_path / "new" / "rows.json")
+    assert json.loads((tmp_path / "new" / "rows.json").read_text()) == [asdict(row)]
+    assert [file.name for file in (tmp_path / "new").iterdir()] == ["rows.json"]
