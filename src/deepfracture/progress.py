@@ -51,11 +51,34 @@ def stage(name: str) -> Iterator[None]:
     """Time a named step; logged at INFO and collected if someone asked."""
     start = time.perf_counter()
     yield
-    done = Stage(name, time.perf_counter() - start, peak_mb())
+    record(name, time.perf_counter() - start)
+
+
+def record(name: str, seconds: float) -> None:
+    """Report a step that took `seconds` in all, as `stage` does."""
+    done = Stage(name, seconds, peak_mb())
     log.info("%-24s %8.3f s %8.0f MB", done.stage, done.seconds, done.peak_mb)
     stages = _stages.get()
     if stages is not None:
         stages.append(done)
+
+
+class Stopwatch:
+    """Adds up the time of named steps that take turns many times."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def record(self) -> None:
+        """Report each step once."""
+        for name, seconds in self.seconds.items():
+            record(name, seconds)
 
 
 def track(items: Iterable[T], *, name: str, total: int | None = None) -> Iterator[T]:

@@ -10,8 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepfracture.carve import cut
 from deepfracture.dataset import Outcome, Sample, generate, open_dataset, simulate_collisions, store
-from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Mesh, Shape
+from deepfracture.dataset.refracture import leaves, pattern_of
+from deepfracture.geometry import builtin, signed_distance
+from deepfracture.types import (
+    BadInput,
+    FracturePattern,
+    Fragment,
+    Fragments,
+    Grid,
+    Impact,
+    Material,
+    Mesh,
+    Recording,
+    Shape,
+)
+from deepfracture.world import Collision, Motion
+from deepfracture.world import Outcome as Ran
 
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
 TETRAHEDRON = Shape(
@@ -145,6 +161,8 @@ def test_an_error_in_a_worker_reaches_the_caller(tmp_path: Path) -> None:
         ({"seed": 4}, "another seed: 3, not 4"),
         ({"resolution": 64}, "another resolution: 32, not 64"),
         ({"speed_range": (1.0, 8.0)}, "another speed_range"),
+        ({"scene": "dual"}, "another scene: single, not dual"),
+        ({"refracture": 2}, "another refracture: 0, not 2"),
     ],
 )
 def test_other_settings_are_refused_in_one_line(finished: Path, changes: dict, words: str) -> None:
@@ -161,7 +179,83 @@ def test_another_material_is_named_by_the_property_that_differs(finished: Path) 
         )
 
 
-@pytest.mark.parametrize("changes", [{"collisions": 0}, {"workers": 0}, {"speed_range": (5.0, 2.0)}])
+def test_sets_of_format_one_are_of_single_balls(tmp_path: Path, finished: Path) -> None:
+    folder = tmp_path / "set"
+    shutil.copytree(finished, folder)
+    manifest = folder / "dataset.json"
+    values = json.loads(manifest.read_text()) | {"format": 1}
+    for name in store.SINCE_FORMAT_2:
+        del values[name]
+    manifest.write_text(json.dumps(values))
+    assert open_dataset(folder).settings.scene == "single"
+    assert run(folder, collisions=9).tried == 9
+    with pytest.raises(BadInput, match="another scene: single, not shear"):
+        run(folder, scene="shear")
+
+
+def test_frames_count_only_with_refracture(tmp_path: Path, finished: Path) -> None:
+    assert run(finished, frames=30).tried == 8
+    made = run(tmp_path / "set", collisions=1, refracture=1, frames=30)
+    assert (made.settings.refracture, made.settings.frames) == (1, 30)
+    with pytest.raises(BadInput, match="another frames: 30, not 60"):
+        run(tmp_path / "set", collisions=1, refracture=1)
+
+
+def test_fragments_become_the_pattern_that_they_were_cut_from() -> None:
+    shape = builtin("bar")
+    points = np.random.default_rng(1).uniform(-1, 1, (9, 3)) * [1, 0.2, 0.2]
+    grid = Grid(64)
+    centres = grid.centres()
+    apart = np.linalg.norm(centres[..., None, :] - points, axis=-1)
+    inside = signed_distance(shape.mesh, grid) > 0
+    labels = np.where(inside, apart.argmin(axis=-1) + 1, 0)
+    # Distance to the plane between the two nearest points, which is the crack.
+    order = np.argsort(apart, axis=-1)
+    near, next_ = points[order[..., 0]], points[order[..., 1]]
+    gap = np.abs(apart.min(axis=-1) ** 2 - np.sort(apart, axis=-1)[..., 1] ** 2) / (
+        2 * np.linalg.norm(near - next_, axis=-1)
+    )
+    pattern = FracturePattern(grid, labels, np.where(inside, gap, 0.0))
+    pieces = list(cut(shape, pattern, density=1000.0))
+    found = pattern_of(pieces, pattern)
+    assert ((found.labels > 0) == (labels > 0)).all()  # every voxel once, no other
+    assert found.count == len(pieces)
+    agree = [np.bincount(labels[found.labels == n]).max() for n in range(1, found.count + 1)]
+    assert sum(agree) > 0.98 * inside.sum()
+    close = inside & (gap < 0.1)
+    assert np.median(np.abs(found.distance - gap)[close]) < 0.25 * grid.spacing
+
+
+def test_leaves_are_what_did_not_break_again() -> None:
+    def piece(x: float) -> Fragment:
+        mesh = TETRAHEDRON.mesh.moved(1.0, [x, 0, 0])
+        return Fragment(mesh, np.arange(4), 1.0, np.zeros(3), np.eye(3))
+
+    still = Motion(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    impact = random_sample(np.random.default_rng(0)).impact
+
+    def collision(body: str, generation: int, *places: float) -> Collision:
+        pieces = Fragments(tuple(map(piece, places))) if places else None
+        return Collision(body, TETRAHEDRON, 0.1, 6, impact, still, still, pieces, generation)
+
+    done = (
+        collision("shape0", 0, 0.0, 10.0, 20.0),
+        collision("shape0.001", 1),
+        collision("shape0.001", 1, 11.0, 12.0),
+        collision("shape0.001.000", 2, 11.1, 11.2),
+    )
+    left = leaves(Ran(Recording(1 / 60, ()), done))
+    assert [round(float(p.mesh.vertices[0, 0]) + 1, 6) for p in left] == [0.0, 11.1, 11.2, 12.0, 20.0]
+
+
+def test_a_kind_of_scene_is_remembered(tmp_path: Path) -> None:
+    assert run(tmp_path / "set", collisions=2, scene="points").settings.scene == "points"
+    assert open_dataset(tmp_path / "set").settings.scene == "points"
+
+
+@pytest.mark.parametrize(
+    "changes", [{"collisions": 0}, {"workers": 0}, {"speed_range": (5.0, 2.0)}, {"scene": "triple"}]
+)
 def test_senseless_values_are_refused(tmp_path: Path, changes: dict) -> None:
     with pytest.raises(BadInput):
         run(tmp_path / "set", **changes)

@@ -42,7 +42,7 @@ def test_a_cube_resists_neither_translation_nor_rotation() -> None:
 
 
 def test_a_cube_bends_as_a_beam_does() -> None:
-    """u_x = -x y / R with Poisson's sides free: the energy of pure bending, which trilinear cubes overestimate by half."""
+    """u_x = -x y / R with Poisson's sides free: pure bending, against which trilinear cubes are far too stiff."""
     x, y, z = (CORNERS - 0.5).T
     u = np.stack([-x * y, x**2 / 2 + POISSON * (y**2 - z**2) / 2, POISSON * y * z], axis=1)
     energy = 0.5 * u.ravel() @ cube_stiffness(POISSON) @ u.ravel()

@@ -8,7 +8,20 @@ import numpy as np
 import pytest
 
 from deepfracture.types import BadInput, Mesh, Shape
-from deepfracture.world import Ball, Floor, Placed, Scene, learning_scene, load_scene, save_scene, throw_scene
+from deepfracture.world import (
+    KINDS,
+    Ball,
+    Block,
+    Floor,
+    Placed,
+    Scene,
+    draw_scene,
+    learning_scene,
+    load_scene,
+    save_scene,
+    throw_scene,
+)
+from deepfracture.world.engine import rotation
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "scenes").glob("*.toml"))
 
@@ -37,6 +50,11 @@ FULL = Scene(
     engine="bullet",
     seed=12,
     breaker="voronoi",
+    refracture=2,
+    blocks=(
+        Block((0.0, 1.0, 2.0), (0.5, 0.25, 1 / 3)),
+        Block((-1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.8, 0.0, 0.6, 0.0), 0.1),
+    ),
 )
 
 
@@ -50,11 +68,13 @@ def test_a_scene_survives_its_file(tmp_path: Path, name: str, scene: Scene) -> N
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_scenes(path: Path) -> None:
-    assert load_scene(path).shapes[0].shape == "pot"
+    scene = load_scene(path)
+    assert {placed.shape for placed in scene.shapes} <= {"pot", "mug", "bar"}
+    assert len(scene.balls) >= len(scene.shapes)
 
 
-def test_there_are_three_examples() -> None:
-    assert {path.stem for path in EXAMPLES} == {"pot_throw", "learning", "falling"}
+def test_there_is_an_example_of_every_kind_of_learning_scene() -> None:
+    assert {path.stem for path in EXAMPLES} == {"pot_throw", "learning", "falling", *KINDS} - {"single"}
 
 
 def test_mesh_files_are_looked_for_beside_the_scene(tmp_path: Path) -> None:
@@ -80,10 +100,14 @@ SHAPE = '[[shapes]]\nshape = "pot"\nmaterial = "glass"\n'
         (SHAPE + "[[balls]]\nradius=nan\ndensity=1\nposition=[0,0,0]\nvelocity=[0,0,0]\n", "balls[0].radius"),
         (SHAPE + "[floor]\nfriction = 'high'\n", "floor.friction"),
         ("duration = 0\n" + SHAPE, "duration"),
+        ("refracture = -1\n" + SHAPE, "refracture"),
         ("push = 1.5\n" + SHAPE, "push"),
         ("frame_rate = 7\n" + SHAPE, "frame_rate"),
         ('engine = "havok"\n' + SHAPE, "rapier"),
         ("floor = 3\n" + SHAPE, "floor must be a table"),
+        (SHAPE + "[[blocks]]\nposition=[0,0,0]\n", "blocks[0] lacks the field 'half_sides'"),
+        (SHAPE + "[[blocks]]\nposition=[0,0,0]\nhalf_sides=[1,0,1]\n", "blocks[0].half_sides"),
+        (SHAPE + "[[blocks]]\nposition=[0,0,0]\nhalf_sides=[1,1,1]\nquat_wxyz=[2,0,0,0]\n", "blocks[0].quat_wxyz"),
         ("balls = 3\n" + SHAPE, "balls must be a list"),
         ("", "lacks the field 'shapes'"),
         ("shapes = []\n", "shapes"),
@@ -150,3 +174,97 @@ def test_learning_balls_come_from_everywhere_towards_the_centre() -> None:
 def test_a_ball_must_start_outside() -> None:
     with pytest.raises(BadInput, match="distance"):
         learning_scene("box", _box(), np.random.default_rng(0), material="glass", distance=1.0)
+
+
+def _draw(kind: str, number: int, seed: int = 0, shape: Shape | None = None) -> Scene:
+    rng = np.random.default_rng(number)
+    return draw_scene(kind, shape or _box(), rng, material="glass", speed=(4.0, 12.0), seed=seed)
+
+
+def _line(ball: Ball) -> tuple[np.ndarray, np.ndarray, float]:
+    """Start, direction and speed of a ball."""
+    speed = float(np.linalg.norm(ball.velocity))
+    return np.array(ball.position), np.array(ball.velocity) / speed, speed
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_learning_scenes_follow_from_their_generator(kind: str) -> None:
+    assert _draw(kind, 3) == _draw(kind, 3)
+    assert _draw(kind, 3) != _draw(kind, 4)
+    scene = _draw(kind, 3)
+    assert scene.gravity == 0 and scene.floor is None
+    assert all(4 <= _line(ball)[2] <= 12 for ball in scene.balls)
+
+
+def test_single_is_the_scene_that_it_was() -> None:
+    old = learning_scene("box", _box(), np.random.default_rng(3), material="glass", speed=(4.0, 12.0))
+    assert _draw("single", 3) == old
+
+
+def test_an_unknown_kind_is_one_line() -> None:
+    with pytest.raises(BadInput, match=r"single, dual, strength, points, shear, got 'triple'"):
+        _draw("triple", 0)
+
+
+def test_two_balls_arrive_together_from_apart() -> None:
+    for number in range(30):
+        one, two = _draw("dual", number).balls
+        angle = np.degrees(np.arccos(np.dot(one.position, two.position) / 2.5**2))
+        assert angle >= 45
+        assert min(one.delay, two.delay) == 0
+        arrivals = []
+        for ball in (one, two):
+            start, direction, speed = _line(ball)
+            near, far = _crossing(start, direction)
+            assert near <= far  # its line meets the box
+            # Goals are on the surface: on this convex box where the line enters it or leaves it.
+            arrivals.append(ball.delay + np.array([near, far]) / speed)
+        assert np.abs(arrivals[0][:, None] - arrivals[1]).min() < 1e-9
+
+
+def _crossing(start: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
+    """Where a line enters the box of `_box` and leaves it."""
+    half = np.array([1.0, 0.5, 0.3])
+    ends = np.sort(np.stack([(-half - start) / direction, (half - start) / direction]), axis=0)
+    return float(ends[0].max()), float(ends[1].min())
+
+
+def test_strength_varies_along_one_line() -> None:
+    shots = [_line(_draw("strength", number).balls[0]) for number in range(20)]
+    assert np.ptp([start for start, _, _ in shots], axis=0).max() == 0
+    assert np.ptp([direction for _, direction, _ in shots], axis=0).max() < 1e-12
+    assert np.ptp([speed for _, _, speed in shots]) > 4
+    other = _line(_draw("strength", 0, seed=1).balls[0])
+    assert np.linalg.norm(other[0] - shots[0][0]) > 0.1
+
+
+def test_points_vary_along_one_direction() -> None:
+    shots = [_line(_draw("points", number).balls[0]) for number in range(200)]
+    directions = np.array([direction for _, direction, _ in shots])
+    assert np.ptp(directions, axis=0).max() < 1e-12
+    starts = np.array([start for start, _, _ in shots])
+    assert np.abs(np.linalg.norm(starts, axis=1) - 2.5).max() < 1e-9
+    for start, direction, _ in shots:
+        near, far = _crossing(start, direction)
+        assert near <= far + 1e-9
+    # They cover the silhouette: as wide as the box is, seen from there.
+    corners = _box().mesh.vertices
+    across = np.linalg.svd(directions[:1])[2][1:]
+    assert (np.ptp(starts @ across.T, axis=0) > 0.85 * np.ptp(corners @ across.T, axis=0)).all()
+
+
+def test_the_shear_ball_comes_down_beside_an_edge() -> None:
+    shape = _box()
+    for number in range(20):
+        scene = _draw("shear", number, shape=shape)
+        first, second = scene.blocks
+        edge = first.position[0] + first.half_sides[0]
+        ball = scene.balls[0]
+        assert ball.velocity[0] == ball.velocity[1] == 0
+        assert 0.03 <= ball.position[0] - edge <= 0.15
+        assert ball.position[0] < second.position[0] - second.half_sides[0]
+        turned = shape.mesh.vertices @ rotation(np.array(scene.shapes[0].quat_wxyz)).T
+        assert np.ptp(turned[:, 0]) == pytest.approx(2.0)
+        for block in scene.blocks:  # the shape lies on both
+            assert block.position[2] + block.half_sides[2] == pytest.approx(turned[:, 2].min(), abs=1e-6)
+        assert ball.position[2] - ball.radius > turned[:, 2].max()

@@ -1,12 +1,13 @@
-"""The simulator as a pattern source."""
+"""The simulator as a pattern source, for whole shapes and for fragments that break again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from deepfracture.fracture import FractureBody, prepare_body, simulate
+from deepfracture.fracture import FractureBody, Pieces, prepare_body, simulate
 from deepfracture.progress import stage
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Shape
 
@@ -19,7 +20,13 @@ class Physical:
     grid: Grid
     _bodies: dict[int, FractureBody] = field(default_factory=dict)
 
+    @cached_property
+    def _pieces(self) -> Pieces:
+        return Pieces(self.material, self.grid)
+
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
+        if shape.whole is not None:
+            return self._pieces(shape, impact, rng)
         key = id(shape)
         if key not in self._bodies:
             with stage("prepare body"):

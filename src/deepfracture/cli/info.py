@@ -33,8 +33,10 @@ def _dataset(path: Path) -> list[str]:
 
     data = open_dataset(path)
     counts = [data[i].pattern.count for i in range(len(data))]
+    again, frames = data.settings.refracture, data.settings.frames
     lines = [
-        f"{path}: data set of {data.shape.name} ({data.material.name})",
+        f"{path}: data set of {data.shape.name} ({data.material.name}), scene {data.settings.scene}",
+        *([f"  fragments broke again, {again} generations in {frames} frames"] if again else []),
         f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} broke nothing",
         f"  largest impulse {data.max_impulse:.0f} N s",
     ]
@@ -62,6 +64,7 @@ def _scene(path: Path) -> list[str]:
 
     scene = load_scene(path)
     things = [f"{placed.shape} of {placed.material}" for placed in scene.shapes]
+    things += [f"{len(scene.blocks)} fixed blocks"] if scene.blocks else []
     speeds = [float(np.linalg.norm(ball.velocity)) for ball in scene.balls]
     return [
         f"{path}: scene with {', '.join(things)}",

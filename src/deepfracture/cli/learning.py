@@ -12,7 +12,7 @@ EPOCHS = 400
 
 def simulate(
     name: str, *, out: Path | None, collisions: int, material: str, resolution: int, speed: tuple[float, float],
-    workers: int, seed: int, repair: bool,
+    scene: str, refracture: int, frames: int, workers: int, seed: int, repair: bool,
 ) -> None:  # fmt: skip
     """Fill the data set `out` with simulated collisions of the shape `name`; goes on where it stopped."""
     from deepfracture.dataset import simulate_collisions
@@ -23,7 +23,7 @@ def simulate(
     out = out or Path("data") / shape.name
     dataset = simulate_collisions(
         shape, preset(material), out, collisions=collisions, workers=workers, resolution=resolution, seed=seed,
-        speed_range=speed,
+        speed_range=speed, scene=scene, refracture=refracture, frames=frames,
     )  # fmt: skip
     log.info(
         "%s: %d patterns from %d collisions (%d broke nothing), largest impulse %.0f N s",

@@ -25,6 +25,8 @@ from deepfracture.world import simulate as run_world
 if TYPE_CHECKING:
     from .main import Throw
 
+AGAIN = ("physical", "voronoi")
+"""Breakers that know any shape, so also fragments that break again."""
 UPRIGHT = {"z": (1.0, 0.0, 0.0, 0.0), "y": (0.5**0.5, 0.5**0.5, 0.0, 0.0), "x": (0.5**0.5, 0.0, -(0.5**0.5), 0.0)}
 """Rotation (w, x, y, z) that turns this axis of the file to the world's z."""
 
@@ -77,7 +79,9 @@ def _throw(name: str, shape: Shape, throw: Throw, material: str, engine: str, se
 def _breakers(
     name: str, scene: Scene, shapes: list[Shape], grid: Grid, model: Path | None, dataset: Path | None
 ) -> tuple[Breaker, dict[str, Material]]:
-    """One breaker that knows every shape of the scene, and the materials by name."""
+    """One breaker that knows every shape of the scene and its fragments, and the materials by name."""
+    if scene.refracture and name not in AGAIN:
+        raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {' or '.join(AGAIN)}")
     materials = {placed.material: preset(placed.material) for placed in scene.shapes}
     known = {
         id(shape): make_breaker(name, shape, materials[placed.material], grid, model=model, dataset=dataset)
@@ -85,7 +89,7 @@ def _breakers(
     }
 
     def breaker(shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
-        return known[id(shape)](shape, impact, rng)
+        return known[id(shape.whole or shape)](shape, impact, rng)
 
     return breaker, materials
 
@@ -130,7 +134,8 @@ def _report(
     """What report.json holds; of several collisions the strongest that broke something, or the strongest.
 
     made_of: the material of each shape, by its identity."""
-    asked = outcome.breaks or outcome.collisions
+    first = [collision for collision in outcome.collisions if collision.generation == 0]
+    asked = [collision for collision in first if collision.fragments is not None] or first
     main = max(asked, key=lambda collision: collision.impact.magnitude[0], default=None)
     report: dict = {
         "shape": ", ".join(placed.shape for placed in scene.shapes),

@@ -55,6 +55,9 @@ def simulate_collisions(
     resolution: int,
     seed: int,
     speed_range: tuple[float, float],
+    scene: str = "single",
+    refracture: int = 0,
+    frames: int = 60,
     prepare: Callable[[Settings], Collide] | None = None,
 ) -> Dataset:
     """Simulate collisions 0 .. `collisions` - 1 that the folder `out` does not hold yet.
@@ -65,18 +68,30 @@ def simulate_collisions(
     Args:
         collisions: Balls thrown in all; those that break nothing are counted and left out.
         speed_range: Slowest and fastest ball [m/s].
+        scene: Kind of scene, one of `world.KINDS`.
+        refracture: Generations of fragments that may break again ...
+        frames: ... within so many frames, at 60 a second, after the hit.
         prepare: What makes the collision of the settings, once in every worker; by default a ball in
             the rigid-body world and the fracture simulator.
 
     Raises:
         BadInput: A value makes no sense, or `out` was made with other settings.
     """
+    from deepfracture.world import KINDS
+
     if collisions < 1 or workers < 1:
         raise BadInput(f"collisions and workers must be at least 1, got {collisions} and {workers}")
     slow, fast = speed_range
     if not 0 < slow <= fast:
         raise BadInput(f"speed_range must be positive and ascending, got {speed_range}")
-    settings = Settings(shape, material, Grid(resolution).resolution, seed, (float(slow), float(fast)))
+    if scene not in KINDS:
+        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}")
+    if refracture < 0 or frames < 1:
+        raise BadInput(f"refracture must be 0 or more and frames at least 1, got {refracture} and {frames}")
+    speeds = (float(slow), float(fast))
+    # Without re-fracture nothing happens after the hit: then the frames are no part of the settings.
+    again = (refracture, frames if refracture else 0)
+    settings = Settings(shape, material, Grid(resolution).resolution, seed, speeds, scene, *again)
     out = Path(out)
     create(out, settings)
     missing = sorted(set(range(collisions)) - done(out))
@@ -86,18 +101,27 @@ def simulate_collisions(
 
 
 def physical_collisions(settings: Settings) -> Collide:
-    """A ball from a random side in the rigid-body world (paper, section 4.1), then the fracture simulator."""
+    """A random scene of the settings' kind in the rigid-body world, then the fracture simulator."""
+    from deepfracture.dataset.refracture import broken_again
     from deepfracture.fracture import prepare_body, simulate
-    from deepfracture.world import first_impact, learning_scene
+    from deepfracture.world import draw_scene, joint_impact
 
     shape, material = settings.shape, settings.material
     body = prepare_body(shape, material, Grid(settings.resolution))
 
     def collide(rng: np.random.Generator) -> Outcome:
-        scene = learning_scene(shape.name, shape, rng, material=material.name, speed=settings.speed_range)
-        impact = first_impact(scene, shape, materials={material.name: material})
+        scene = draw_scene(
+            settings.scene, shape, rng, material=material.name, speed=settings.speed_range, seed=settings.seed
+        )
+        impact = joint_impact(scene, shape, materials={material.name: material})
         cracking = None if impact is None else simulate(body, impact, rng)
-        return Outcome(impact, None if cracking is None else cracking.pattern)
+        if cracking is None:
+            return Outcome(impact, None)
+        pattern, generations = cracking.pattern, settings.refracture
+        if generations:
+            frames = settings.frames
+            pattern = broken_again(scene, shape, material, pattern, rng, frames=frames, generations=generations)
+        return Outcome(impact, pattern)
 
     return collide
 

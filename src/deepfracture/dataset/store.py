@@ -1,6 +1,6 @@
 """A folder of simulated collisions that can be killed and continued at any moment.
 
-    dataset.json        what was simulated: shape, material, resolution, speeds, seed
+    dataset.json        what was simulated: shape, material, kind of scene, resolution, speeds, seed
     shape/              zarr group: vertices, faces
     samples/000012/     zarr group: labels, distance; its attributes hold the impact and the seed
     unbroken/000013.json    a collision that broke nothing
@@ -25,7 +25,10 @@ import numpy as np
 
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Mesh, Shape
 
-FORMAT = 1
+FORMAT = 2
+"""Of the manifest."""
+SINCE_FORMAT_2 = {"scene": "single", "refracture": 0, "frames": 0}
+"""What format 1 does not say, and what its data sets are."""
 MANIFEST = "dataset.json"
 IMPACT_FIELDS = ("position", "direction", "magnitude", "normal")
 
@@ -50,6 +53,12 @@ class Settings:
     seed: int
     speed_range: tuple[float, float]
     """Slowest and fastest ball [m/s]."""
+    scene: str = "single"
+    """Kind of scene, one of `world.KINDS`."""
+    refracture: int = 0
+    """Generations of fragments that may break again."""
+    frames: int = 0
+    """Frames after the hit in which they may, at 60 a second."""
 
     def manifest(self) -> dict[str, Any]:
         return {
@@ -64,6 +73,9 @@ class Settings:
             "resolution": self.resolution,
             "seed": self.seed,
             "speed_range": list(self.speed_range),
+            "scene": self.scene,
+            "refracture": self.refracture,
+            "frames": self.frames,
         }
 
 
@@ -214,8 +226,10 @@ def _read_sample(folder: Path, grid: Grid) -> Sample:
 def _settings(path: Path, manifest: dict[str, Any]) -> Settings:
     import zarr
 
-    if manifest["format"] != FORMAT:
-        raise ValueError(f"format {manifest['format']}, this program reads {FORMAT}")
+    if manifest["format"] not in (1, FORMAT):
+        raise ValueError(f"format {manifest['format']}, this program reads 1 and {FORMAT}")
+    if manifest["format"] == 1:
+        manifest = manifest | SINCE_FORMAT_2
     group = zarr.open_group(path / "shape", mode="r")
     mesh = Mesh(np.asarray(group["vertices"]), np.asarray(group["faces"]))
     about = manifest["shape"]
@@ -224,7 +238,10 @@ def _settings(path: Path, manifest: dict[str, Any]) -> Settings:
     shape = Shape(about["name"], mesh, about["scale"], about["centre"])
     slow, fast = manifest["speed_range"]
     resolution, seed = Grid(manifest["resolution"]).resolution, int(manifest["seed"])
-    return Settings(shape, Material(**manifest["material"]), resolution, seed, (float(slow), float(fast)))
+    material = Material(**manifest["material"])
+    speed_range = (float(slow), float(fast))
+    again = int(manifest["refracture"]), int(manifest["frames"])
+    return Settings(shape, material, resolution, seed, speed_range, str(manifest["scene"]), *again)
 
 
 def _write_shape(target: Path, mesh: Mesh) -> None:

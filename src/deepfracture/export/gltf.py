@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FLOAT, UINT32 = 5126, 5125
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
-ROUGHNESS = {"outer": 0.75, "inner": 0.95, "ball": 0.35, "floor": 0.9}
+ROUGHNESS = {"outer": 0.75, "inner": 0.95, "ball": 0.35, "floor": 0.9, "block": 0.8}
 
 
 def write_glb(recording: Recording, path: str | os.PathLike) -> None:

@@ -21,7 +21,7 @@ KEY_LIGHT = np.array([-0.45, 0.62, 0.95])
 """Towards the key light: left, towards the viewer, up."""
 FILL_LIGHT = np.array([0.85, 0.35, 0.25])
 BACKDROP = (246, 244, 241)
-GLOSS = {"outer": 0.35, "inner": 0.0, "ball": 1.0, "floor": 0.0}
+GLOSS = {"outer": 0.35, "inner": 0.0, "ball": 1.0, "floor": 0.0, "block": 0.1}
 SHADOW_TEXELS, SKY_TEXELS = 640, 256
 """Sides of the depth buffers of the key light and of the view from above."""
 FLOOR_POINTS = 96

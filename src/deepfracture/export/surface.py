@@ -18,6 +18,7 @@ COLOURS: dict[str, tuple[int, int, int]] = {
     "inner": (232, 186, 150),  # fresh clay
     "ball": (62, 72, 84),  # steel
     "floor": (236, 233, 228),
+    "block": (150, 152, 156),  # granite
 }
 """sRGB, 0..255, of each kind of surface."""
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from deepfracture.progress import Stopwatch
 from deepfracture.types import Floats, Floats32
 
 from .body import FractureBody
@@ -44,6 +45,7 @@ class Cracks:
     count: int = 0
     tension: float = 0.0
     """Greatest driving stress over local strength that the uncracked body would have seen."""
+    time: Stopwatch = field(default_factory=Stopwatch)
 
     @staticmethod
     def on(
@@ -63,15 +65,17 @@ class Cracks:
         state, idle = self.state, 0
         step = state.load.rise / STEPS
         while state.time < state.load.end - 0.5 * step and self.count < MAX_CRACKS:
-            if self.mechanisms.release:
-                self.pending = self.pending.release(state.solid, state.time + step)
-            state.advance(step)
+            with self.time("cracks: stress"):
+                if self.mechanisms.release:
+                    self.pending = self.pending.release(state.solid, state.time + step)
+                state.advance(step)
             if not self.count:
                 now = float((state.tension / state.strength).max())
                 self.tension = max(self.tension, now / state.load.share(state.time))
             idle = 0 if self._start_due() else idle + 1
             if state.time > state.load.rise and idle > PATIENCE:
                 break
+        self.time.record()
 
     def _start_due(self) -> int:
         """Open the cracks of the last step, the earliest first. Returns how many."""
@@ -87,13 +91,15 @@ class Cracks:
         body, state, front = self.body, self.state, self.front
         closest = SPACING_CELLS * body.coarse.spacing
         seed = body.nodes[node] + 0.2 * body.coarse.spacing * self.rng.standard_normal(3)
-        sheet = self._sheet(node, seed)
+        with self.time("cracks: sheets"):
+            sheet = self._sheet(node, seed)
         ramp = Ramp(rise=state.load.rise, speed=body.material.rayleigh_speed, longest=1.0)
         wall = body.wall if self.mechanisms.mouth else np.full_like(body.wall, 1e-6)
-        crack = grow(
-            front, body.sdf, wall, state.at_peak(), sheet, self.variation.toughness,
-            seed=seed, start=float(state.onset[node]), fine=body.fine, coarse=body.coarse, ramp=ramp,
-        )  # fmt: skip
+        with self.time("cracks: fronts"):
+            crack = grow(
+                front, body.sdf, wall, state.at_peak(), sheet, self.variation.toughness,
+                seed=seed, start=float(state.onset[node]), fine=body.fine, coarse=body.coarse, ramp=ramp,
+            )  # fmt: skip
         state.crowd(seed[None], closest)
         state.onset[node] = np.inf
         self.opened.append(open_faces(crack, front, self.position))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.fft import dctn, idctn
 
 from deepfracture.types import Floats, Floats32
@@ -20,6 +21,55 @@ SWEEPS = 3
 """Rounds in which the signs of the line field and the direction where it is weak are brought in line."""
 COHERENCE = 0.8
 """Distance over which a crack remembers the tension at its seed [m]."""
+
+
+@njit(cache=True)
+def _aligned(tension, trust, gradient, wanted):
+    """Unit directions between the tension, its sign as the gradient's, and the gradient where tension says little."""
+    n = tension.shape[0]
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                t, g, share = tension[i, j, k], gradient[i, j, k], trust[i, j, k]
+                if t[0] * g[0] + t[1] * g[1] + t[2] * g[2] < 0:
+                    share = -share
+                x = share * t[0] + (1 - abs(share)) * g[0]
+                y = share * t[1] + (1 - abs(share)) * g[1]
+                z = share * t[2] + (1 - abs(share)) * g[2]
+                length = np.sqrt(x * x + y * y + z * z) + np.float32(1e-6)
+                wanted[i, j, k, 0], wanted[i, j, k, 1], wanted[i, j, k, 2] = x / length, y / length, z / length
+
+
+@njit(cache=True)
+def _unit_gradient(potential, gradient):
+    """Direction of the potential's gradient, by central differences, one-sided at the border."""
+    n = potential.shape[0]
+    for i in range(n):
+        a, b = max(i - 1, 0), min(i + 1, n - 1)
+        for j in range(n):
+            c, d = max(j - 1, 0), min(j + 1, n - 1)
+            for k in range(n):
+                e, f = max(k - 1, 0), min(k + 1, n - 1)
+                x = (potential[b, j, k] - potential[a, j, k]) / (b - a)
+                y = (potential[i, d, k] - potential[i, c, k]) / (d - c)
+                z = (potential[i, j, f] - potential[i, j, e]) / (f - e)
+                length = np.sqrt(x * x + y * y + z * z) + 1e-12
+                gradient[i, j, k, 0], gradient[i, j, k, 1], gradient[i, j, k, 2] = x / length, y / length, z / length
+
+
+@njit(cache=True)
+def _divergence(direction, spacing, out):
+    n = direction.shape[0]
+    out[:] = 0
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                for axis in range(3):
+                    a, b, c = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+                    if max(a, b, c) < n:
+                        flux = (direction[i, j, k, axis] + direction[a, b, c, axis]) / (2 * spacing)
+                        out[i, j, k] += flux
+                        out[a, b, c] -= flux
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +88,8 @@ class SheetSolver:
 
     def potential(self, direction: Floats32) -> Floats32:
         """The potential whose gradient is closest to `direction` (n, n, n, 3) in the least-squares sense."""
-        divergence = np.zeros(direction.shape[:3], np.float32)
-        for axis in range(3):
-            component = np.moveaxis(direction[..., axis], axis, 0)
-            flux = 0.5 * (component[1:] + component[:-1]) / self.lattice.spacing
-            target = np.moveaxis(divergence, axis, 0)
-            target[:-1] += flux
-            target[1:] -= flux
+        divergence = np.empty(direction.shape[:3], np.float32)
+        _divergence(direction, np.float32(self.lattice.spacing), divergence)
         spectrum = np.asarray(dctn(divergence, type=2, norm="ortho")) / -self.eigenvalues
         spectrum[0, 0, 0] = 0
         return np.asarray(idctn(spectrum, type=2, norm="ortho"))
@@ -56,15 +101,14 @@ class SheetSolver:
         weight: how clear that direction is, in [0, 1], (n, n, n).
         seed, normal: where the crack starts [m] and the direction that it opens in, (3,).
         """
-        away = np.linalg.norm(self.lattice.centres() - seed, axis=-1)
-        trust = (weight * np.exp(-((away / COHERENCE) ** 2)) + 1e-4)[..., None].astype(np.float32)
-        gradient = np.broadcast_to(normal.astype(np.float32), tension.shape)
+        axis = self.lattice.first_centre + self.lattice.spacing * np.arange(self.lattice.n)
+        fades = [np.exp(-(((axis - seed[a]) / COHERENCE) ** 2)) for a in range(3)]
+        trust = weight * np.einsum("i,j,k->ijk", *fades).astype(np.float32) + np.float32(1e-4)
+        gradient, wanted = np.empty_like(tension), np.empty_like(tension)
+        gradient[:] = normal
         potential = np.zeros(weight.shape, np.float32)
         for _ in range(SWEEPS):
-            sign = np.where(np.einsum("ijkc,ijkc->ijk", tension, gradient) < 0, -1, 1)[..., None]
-            wanted = trust * sign * tension + (1 - trust) * gradient
-            wanted /= np.linalg.norm(wanted, axis=-1, keepdims=True) + 1e-6
-            potential = self.potential(wanted.astype(np.float32))
-            gradient = np.stack([*np.gradient(potential, self.lattice.spacing)], axis=-1)
-            gradient = gradient / (np.linalg.norm(gradient, axis=-1, keepdims=True) + 1e-6)
+            _aligned(tension, trust, gradient, wanted)
+            potential = self.potential(wanted)
+            _unit_gradient(potential, gradient)
         return potential

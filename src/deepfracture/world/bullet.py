@@ -99,6 +99,15 @@ class Bullet:
         self._looks(floor, friction / self._friction)
         return self._keep(floor, _CENTRED)
 
+    def add_block(self, half_sides: Floats, friction: float, motion: Motion) -> int:
+        shape = self._api.createCollisionShape(self._api.GEOM_BOX, halfExtents=list(half_sides), **self._world)
+        place, turn = _to_bullet(motion, _CENTRED)
+        block = self._api.createMultiBody(
+            0, shape, basePosition=place, baseOrientation=turn, useMaximalCoordinates=1, **self._world
+        )
+        self._looks(block, friction / self._friction)
+        return self._keep(block, _CENTRED)
+
     def remove(self, body: int) -> None:
         del self._frames[body], self._bodies[self._ids[body]]
         self._api.removeBody(self._ids.pop(body), **self._world)

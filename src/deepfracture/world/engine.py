@@ -79,6 +79,10 @@ class Engine(Protocol):
         """A fixed floor under z = height."""
         ...
 
+    def add_block(self, half_sides: Floats, friction: float, motion: Motion) -> int:
+        """A fixed box about the origin of its frame, which stays where `motion` has it."""
+        ...
+
     def remove(self, body: int) -> None: ...
 
     def move(self, body: int, motion: Motion) -> None:

@@ -20,7 +20,7 @@ from deepfracture.world.engine import Contact, Motion, rotation
 LEAST_CLOSING = 0.3
 """Slower contacts are resting or settling, not collisions [m/s]: a fall of half a centimetre."""
 FLOOR_RADIUS = 0.3
-"""Radius of curvature that stands for a flat floor [m]. In a contact only the relative curvature counts, and
+"""Radius of curvature that stands for a flat floor or block [m]. In a contact only the relative curvature counts, and
 a breaker takes the body to be flat: what meets a floor is not, it is a rim, an edge or a belly of a body
 two metres long."""
 SPOT = 0.05
@@ -82,8 +82,22 @@ def impact_of(
     towards = np.array([blow.normal for blow in blows]) @ turn
     reach = np.minimum(OUTWARDS, 0.5 * np.array([blow.radius for blow in blows]))
     position, normal = _on_surface(mesh, contact - reach[:, None] * towards)
-    speed = max(blows[0].closing, LEAST_CLOSING)
-    return Impact(position, direction, magnitude, normal, speed, blows[0].radius)
+    # A support may answer with more than it was asked with, but how long the blow lasts the striker decides.
+    leader = next((blow for blow in blows if blow.closing >= LEAST_CLOSING), blows[0])
+    return Impact(position, direction, magnitude, normal, max(leader.closing, LEAST_CLOSING), leader.radius)
+
+
+def merged(impacts: Sequence[Impact]) -> Impact:
+    """Several impacts on one body as one, strongest impulse first; speed and radius are the strongest's."""
+    if len(impacts) == 1:
+        return impacts[0]
+    strongest = max(impacts, key=lambda impact: float(impact.magnitude[0]))
+    order = np.argsort(-np.concatenate([impact.magnitude for impact in impacts]), kind="stable")
+    position, direction, magnitude, normal = (
+        np.concatenate([getattr(impact, name) for impact in impacts])[order]
+        for name in ("position", "direction", "magnitude", "normal")
+    )
+    return Impact(position, direction, magnitude, normal, strongest.speed, strongest.radius)
 
 
 def _totals(own: Party, pushes: Sequence[Push], parties: Mapping[int, Party]) -> dict[int, Floats]:

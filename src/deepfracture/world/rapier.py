@@ -81,6 +81,12 @@ class Rapier:
         fixed = api.RigidBodyBuilder(api.RigidBodyType.FIXED).translation((0.0, 0.0, height - FLOOR_DEPTH))
         return self._keep(self._world.add_body(fixed, [box]))
 
+    def add_block(self, half_sides: Floats, friction: float, motion: Motion) -> int:
+        api = self._api
+        box = api.Collider.cuboid(*map(float, half_sides), **self._looks(friction / self._friction))
+        fixed = api.RigidBodyBuilder(api.RigidBodyType.FIXED).position(self._pose(motion))
+        return self._keep(self._world.add_body(fixed, [box]))
+
     def remove(self, body: int) -> None:
         handle = self._handles.pop(body)
         del self._number[handle]

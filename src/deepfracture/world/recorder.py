@@ -8,8 +8,8 @@ import numpy as np
 
 from deepfracture.types import Floats, Fragments, Ints, Mesh, Recording, Shape, Track
 from deepfracture.world.engine import Motion, rotation
-from deepfracture.world.scene import Scene
-from deepfracture.world.stage import Body
+from deepfracture.world.scene import Block, Scene
+from deepfracture.world.stage import Body, block_motion
 
 FLOOR_HALF = 6.0
 """Half the side of the floor that is shown [m]."""
@@ -75,7 +75,13 @@ class Recorder:
             place = np.tile([0.0, 0.0, self._scene.floor.height], (self.frames, 1))
             still = np.tile([1.0, 0.0, 0.0, 0.0], (self.frames, 1))
             tracks.append(Track("floor", "floor", floor_mesh(), None, 0, place, still))
+        tracks += [self._block(i, block) for i, block in enumerate(self._scene.blocks)]
         return Recording(self.frame_time, tuple(tracks), self._user_from_world())
+
+    def _block(self, number: int, block: Block) -> Track:
+        stays = block_motion(block)
+        place, turn = (np.tile(value, (self.frames, 1)) for value in (stays.position, stays.quat_wxyz))
+        return Track(f"block{number}", "block", block_mesh(block.half_sides), None, 0, place, turn)
 
     def _user_from_world(self) -> Floats:
         """Where the first shape's file has it, it is at the start."""
@@ -93,6 +99,14 @@ def ball_mesh(radius: float) -> Mesh:
 
     sphere = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     return Mesh(sphere.vertices, sphere.faces)
+
+
+def block_mesh(half_sides: tuple[float, float, float]) -> Mesh:
+    """A box about the origin."""
+    import trimesh
+
+    box = trimesh.creation.box(2 * np.asarray(half_sides))
+    return Mesh(box.vertices, box.faces)
 
 
 def floor_mesh() -> Mesh:

@@ -45,8 +45,7 @@ class Placed:
     def __post_init__(self) -> None:
         _text(self, "shape", "material")
         _vectors(self, position=3, quat_wxyz=4, velocity=3, spin=3)
-        if abs(np.linalg.norm(self.quat_wxyz) - 1) > 1e-3:
-            raise BadInput(f"quat_wxyz must have length 1, got {list(self.quat_wxyz)}")
+        _unit(self)
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,27 @@ class Floor:
 
 
 @dataclass(frozen=True)
+class Block:
+    """A fixed box: an edge to break something over, a support, a wall."""
+
+    position: Vector
+    """Of its centre [m]."""
+    half_sides: Vector
+    """Half the length of its sides [m]."""
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Rotation world_from_block."""
+    friction: float = 0.6
+    """Coulomb coefficient against everything."""
+
+    def __post_init__(self) -> None:
+        _vectors(self, position=3, half_sides=3, quat_wxyz=4)
+        _at_least_zero(self, "friction")
+        if not min(self.half_sides) > 0:
+            raise BadInput(f"half_sides must be positive, got {list(self.half_sides)}")
+        _unit(self)
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything that a simulation needs to know besides how things break."""
 
@@ -116,13 +136,16 @@ class Scene:
     seed: int = 0
     breaker: str = ""
     """Which breaker to use; empty: whatever the caller has."""
+    blocks: tuple[Block, ...] = ()
+    refracture: int = 0
+    """Generations of fragments that may break again (see `world.pieces`)."""
 
     def __post_init__(self) -> None:
         if not self.shapes:
             raise BadInput("shapes must name at least one shape")
         _positive(self, "duration", "friction")
         _at_least_zero(self, "gravity", "restitution", "push")
-        _whole(self, "frame_rate", "steps_per_second", "seed")
+        _whole(self, "frame_rate", "steps_per_second", "seed", "refracture")
         if self.restitution > 1 or self.push > 1:
             raise BadInput(f"restitution and push must be at most 1, got {self.restitution} and {self.push}")
         if self.frame_rate < 1 or self.steps_per_second < 1 or self.steps_per_second % self.frame_rate:
@@ -206,33 +229,6 @@ def throw_scene(
     return Scene((stands,), (ball,), Floor(), duration=10.0, engine=engine, seed=seed)
 
 
-def learning_scene(
-    name: str,
-    shape: Shape,
-    rng: np.random.Generator,
-    *,
-    material: str,
-    speed: tuple[float, float] = (5.0, 30.0),
-    radius: float = 0.2,
-    distance: float = 2.5,
-    jitter: float = 0.0,
-    engine: str = "rapier",
-    seed: int = 0,
-) -> Scene:
-    """The scene of the paper's data: no gravity, no floor, and a ball from a random point of a sphere of
-    radius `distance` [m] towards the centre (off it by up to `jitter` [m]) at a random speed [m/s]."""
-    reach = float(np.linalg.norm(shape.mesh.vertices, axis=1).max()) + radius
-    if distance <= reach:
-        raise BadInput(f"distance must be more than {reach:.2f} m to start outside {name}, got {distance}")
-    outwards = rng.normal(size=3)
-    outwards /= np.linalg.norm(outwards)
-    goal = jitter * rng.uniform(-1, 1, 3)
-    velocity = goal - distance * outwards
-    velocity *= rng.uniform(*speed) / np.linalg.norm(velocity)
-    ball = Ball(radius, STEEL, _tuple(distance * outwards), _tuple(velocity))
-    return Scene((Placed(name, material),), (ball,), gravity=0.0, duration=1.0, engine=engine, seed=seed)
-
-
 def _tuple(vector: Floats) -> Vector:
     x, y, z = (float(value) for value in vector)
     return x, y, z
@@ -249,7 +245,7 @@ def _beside(path: Path, placed: Placed) -> Placed:
 
 def _scene(data: Any) -> Scene:
     known = _known(Scene, data, "the file")
-    for key, cls in (("shapes", Placed), ("balls", Ball)):
+    for key, cls in (("shapes", Placed), ("balls", Ball), ("blocks", Block)):
         if key in known:
             if not isinstance(known[key], list):
                 raise BadInput(f"{key} must be a list of tables, got {known[key]!r}")
@@ -313,6 +309,11 @@ def _whole(record: Any, *names: str) -> None:
             raise BadInput(f"{name} must be a whole number, zero or more, got {value!r}")
 
 
+def _unit(record: Any) -> None:
+    if abs(np.linalg.norm(record.quat_wxyz) - 1) > 1e-3:
+        raise BadInput(f"quat_wxyz must have length 1, got {list(record.quat_wxyz)}")
+
+
 def _text(record: Any, *names: str) -> None:
     for name in names:
         if not isinstance(getattr(record, name), str) or not getattr(record, name):
@@ -333,12 +334,16 @@ def _vectors(record: Any, **lengths: int) -> None:
 # Writing: TOML has no writer in the standard library, and this is all that a scene needs of it.
 
 
+TABLES = ("shapes", "balls", "blocks")
+"""Fields of a scene that are lists of tables."""
+
+
 def _toml(data: dict[str, Any]) -> str:
-    plain = {k: v for k, v in data.items() if not isinstance(v, dict) and k not in ("shapes", "balls")}
+    plain = {k: v for k, v in data.items() if not isinstance(v, dict) and k not in TABLES}
     lines = [f"{key} = {_literal(value)}" for key, value in plain.items()]
     if "floor" in data:
         lines += ["", "[floor]", *(f"{k} = {_literal(v)}" for k, v in data["floor"].items())]
-    for table in ("shapes", "balls"):
+    for table in TABLES:
         for entry in data[table]:
             lines += ["", f"[[{table}]]", *(f"{k} = {_literal(v)}" for k, v in entry.items())]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,5 @@
-"""Scenes in motion: `simulate` to the end, `first_impact` to the first collision."""
+"""Scenes in motion: `simulate` to the end, `first_impact` to the first collision, `joint_impact` to that of
+the last ball."""
 
 from __future__ import annotations
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from deepfracture.types import Breaker, Fragments, Impact, Material, Recording, Shape
 from deepfracture.world.engine import Motion
+from deepfracture.world.impulse import merged
+from deepfracture.world.pieces import real, scaled
 from deepfracture.world.recorder import Recorder
 from deepfracture.world.scene import Scene
 from deepfracture.world.stage import Hit, Stage
@@ -21,6 +24,7 @@ class Collision:
     body: str
     """Name of the track."""
     shape: Shape
+    """The whole, also where a fragment of it was struck: impact and fragments are in its frame."""
     time: float
     """[s]"""
     frame: int
@@ -30,6 +34,8 @@ class Collision:
     after: Motion
     fragments: Fragments | None
     """None: it did not break."""
+    generation: int = 0
+    """Of what was struck: 0 for a whole shape, 1 for a fragment of it, and so on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +64,7 @@ def simulate(
 
     `shapes` are the meshes of `scene.shapes`, in order; `materials` are looked up by the scene's names;
     `engine` overrides the scene's. Every collision of a whole shape faster than a settling contact goes to
-    the breaker; fragments do not break again (as in the paper).
+    the breaker, and of fragments as far as `Scene.refracture` says (see `world.pieces`).
     """
     stage = Stage(replace(scene, engine=engine or scene.engine), shapes, materials)
     try:
@@ -81,6 +87,32 @@ def first_impact(
         stage.close()
 
 
+def joint_impact(
+    scene: Scene, shape: Shape, *, materials: Mapping[str, Material], engine: str | None = None
+) -> Impact | None:
+    """What all balls of a scene with one shape do to it: their first hits as one Impact; None if all miss.
+
+    The world runs with the shape unbroken until every ball has hit or the time is over. Each hit keeps its
+    place in the body frame, wherever the body was by then, and they are taken to act at once: an
+    approximation, good where the balls arrive within the time that the body needs to turn away. A ball that
+    misses leaves the impact of the others."""
+    stage = Stage(replace(scene, engine=engine or scene.engine), [shape], materials)
+    waiting = {f"ball{i}" for i in range(len(scene.balls))}
+    impacts: list[Impact] = []
+    try:
+        for _ in range(int(scene.duration * scene.steps_per_second)):
+            for hit in stage.step():
+                struck = waiting & {striker.name for striker, _, _ in hit.strikers}
+                if struck:
+                    impacts.append(hit.impact)
+                    waiting -= struck
+                if not waiting:
+                    return merged(impacts)
+        return merged(impacts) if impacts else None
+    finally:
+        stage.close()
+
+
 def _run(stage: Stage, breaker: Breaker, rng: np.random.Generator, reference: Shape) -> Outcome:
     scene = stage.scene
     recorder = Recorder(scene, reference)
@@ -98,9 +130,15 @@ def _run(stage: Stage, breaker: Breaker, rng: np.random.Generator, reference: Sh
 
 
 def _ask(stage: Stage, recorder: Recorder, hit: Hit, breaker: Breaker, rng: np.random.Generator) -> Collision:
-    assert hit.body.shape is not None
-    fragments = breaker(hit.body.shape, hit.impact, rng)
+    body = hit.body
+    assert body.shape is not None
+    if body.source is None:
+        whole, fragments = body.shape, breaker(body.shape, hit.impact, rng)
+    else:
+        assert body.shape.whole is not None
+        whole, fragments = body.shape.whole, breaker(body.shape, scaled(hit.impact, body.shape), rng)
+        fragments = fragments and real(fragments, body.shape, body.source)
     if fragments is not None:
         recorder.knows(stage.shatter(hit, fragments), fragments)
     frame = recorder.frames - 1
-    return Collision(hit.body.name, hit.body.shape, stage.time, frame, hit.impact, hit.before, hit.after, fragments)
+    return Collision(body.name, whole, stage.time, frame, hit.impact, hit.before, hit.after, fragments, body.generation)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfracture.geometry import mass_properties
-from deepfracture.types import BadInput, Fragments, Impact, Material, Mesh, Shape
+from deepfracture.types import BadInput, Fragment, Fragments, Impact, Ints, Material, Mesh, Shape
 from deepfracture.world.engine import Engine, Mass, Motion, Surface, cross, open_engine, rotation
 from deepfracture.world.hulls import piece_hulls, whole_hulls
 from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of
+from deepfracture.world.pieces import HARDER, SAME_BLOW, SMALLEST_SHARE, as_shape
 from deepfracture.world.rest import Rest
-from deepfracture.world.scene import Ball, Placed, Scene
+from deepfracture.world.scene import Ball, Block, Placed, Scene
 
 TRAVEL = 0.125
 """A ball moves at most this many radii a step, so that it is met at the surface and not behind a wall."""
@@ -38,12 +39,22 @@ class Body:
     kind: str
     """As in `types.Track`."""
     mesh: Mesh | None
-    """None for balls and the floor, whose meshes the recording makes."""
+    """None for balls, blocks and the floor, whose meshes the recording makes."""
     mass: Mass
     radius: float
     """Of curvature, where something touches it [m]."""
     shape: Shape | None = None
     """Only of what can break."""
+    generation: int = 0
+    """0 for a whole shape, one more than its parent's for a fragment."""
+    source: Ints | None = None
+    """Of a fragment: `Fragment.source`, in the whole."""
+    born: float = 0.0
+    """When a fragment came to be [s]."""
+
+    @property
+    def fixed(self) -> bool:
+        return self.kind in ("floor", "block")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +81,16 @@ class Stage:
         self.engine: Engine = open_engine(scene.engine, gravity=scene.gravity, surface=surface)
         if scene.floor is not None:
             number = self.engine.add_floor(scene.floor.height, scene.floor.friction)
-            nothing = Mass(np.inf, np.zeros(3), np.eye(3))
-            self.bodies[number] = Body(number, "floor", "floor", None, nothing, FLOOR_RADIUS)
+            self.bodies[number] = _fixed(number, "floor", "floor")
+        for i, block in enumerate(scene.blocks):
+            number = self.engine.add_block(np.asarray(block.half_sides), block.friction, block_motion(block))
+            self.bodies[number] = _fixed(number, f"block{i}", "block")
         for i, (placed, shape) in enumerate(zip(scene.shapes, shapes, strict=True)):
             self._add_shape(f"shape{i}", placed, shape, materials)
         self._waiting = sorted(enumerate(scene.balls), key=lambda ball: (ball[1].delay, ball[0]))
         self._rest = Rest()
+        self._withstood: dict[int, float] = {}
+        """Strongest impulse that a fragment was asked about and did not break from [N s]."""
         self.time = 0.0
         self._enter_balls()
 
@@ -116,18 +131,30 @@ class Stage:
             mass = Mass(piece.mass, piece.centre, piece.inertia)
             number = self.engine.add_body(hull.points, mass, motion)
             name = f"{hit.body.name}.{i:03d}"
-            self.bodies[number] = Body(number, name, "fragment", piece.mesh, mass, 1.0)
+            generation = hit.body.generation + 1
+            shape = self._breakable(piece, name, hit.body, generation)
+            self.bodies[number] = Body(
+                number, name, "fragment", piece.mesh, mass, 1.0, shape, generation, piece.source, self.time
+            )
             added.append(self.bodies[number])
-        if not any(body.shape for body in self.bodies.values()):
+        if not any(body.kind == "shape" for body in self.bodies.values()):
             self.engine.prefer_piles()
         return added
+
+    def _breakable(self, piece: Fragment, name: str, parent: Body, generation: int) -> Shape | None:
+        """A fragment as a shape, if it is large and old enough a generation to break again."""
+        assert parent.shape is not None
+        whole = parent.shape.whole or parent.shape
+        if generation > self.scene.refracture or piece.volume < SMALLEST_SHARE * whole.mesh.volume:
+            return None
+        return as_shape(piece, name, whole)
 
     def settle(self, moving: list[tuple[Body, Motion]], dt: float) -> bool:
         """Calm down what hardly moves, `dt` after the last time. Returns whether everything rests.
 
-        Where there is a floor to lie on, a body at rest is held still and a slow one loses its velocities."""
+        Where there is something fixed to lie on, a body at rest is held still and a slow one loses its velocities."""
         everything = not self._waiting
-        lying = self.scene.floor is not None and self.scene.gravity > 0
+        lying = any(body.fixed for body in self.bodies.values()) and self.scene.gravity > 0
         for body, motion in moving:
             rests = self._rest.update(body.number, motion, body.mass.centre, dt)
             everything &= rests or (body.kind == "ball" and self._leaves(motion, moving))
@@ -149,7 +176,7 @@ class Stage:
         self.engine.remove(body.number)
 
     def moving(self) -> list[tuple[Body, Motion]]:
-        return [(b, self.engine.motion(b.number)) for b in self.bodies.values() if b.kind != "floor"]
+        return [(b, self.engine.motion(b.number)) for b in self.bodies.values() if not b.fixed]
 
     def _add_shape(self, name: str, placed: Placed, shape: Shape, materials: Mapping[str, Material]) -> None:
         if placed.material not in materials:
@@ -181,11 +208,24 @@ class Stage:
         return int(np.ceil(need))
 
     def _substep(self, dt: float) -> list[Hit]:
-        breakable = [body for body in self.bodies.values() if body.shape]
+        breakable = [body for body in self.bodies.values() if body.shape and self._is_of_age(body)]
         before = {body.number: motion for body, motion in self.moving()} if breakable else {}
         self.engine.step(dt)
         hits = [self._hit(body, before, dt) for body in breakable]
-        return [hit for hit in hits if hit]
+        return [hit for hit in hits if hit and self._is_news(hit)]
+
+    def _is_of_age(self, body: Body) -> bool:
+        return body.generation == 0 or self.time - body.born > SAME_BLOW
+
+    def _is_news(self, hit: Hit) -> bool:
+        """Whether a blow says more than those before it (see `pieces.HARDER`)."""
+        if hit.body.generation == 0:
+            return True
+        impulse = float(hit.impact.magnitude[0])
+        if impulse <= HARDER * self._withstood.get(hit.body.number, 0.0):
+            return False
+        self._withstood[hit.body.number] = impulse
+        return True
 
     def _hit(self, body: Body, before: dict[int, Motion], dt: float) -> Hit | None:
         contacts = self.engine.contacts(body.number, before[body.number])
@@ -195,18 +235,18 @@ class Stage:
         for contact in contacts:
             speed = _speed_at(before[body.number], body, contact.position)
             other = self.bodies[contact.other]
-            if other.kind != "floor":
+            if not other.fixed:
                 speed = speed - _speed_at(before[contact.other], other, contact.position)
             pushes.append(Push(contact, float(-speed @ contact.normal)))
         if max(push.closing for push in pushes) < LEAST_CLOSING:
             return None
         parties = {body.number: self._party(body, before, dt)}
         for number in sorted({push.contact.other for push in pushes}):
-            if self.bodies[number].kind != "floor":
+            if not self.bodies[number].fixed:
                 parties[number] = self._party(self.bodies[number], before, dt)
         radii = {number: self.bodies[number].radius for number in {p.contact.other for p in pushes}}
-        assert body.shape is not None
-        impact = impact_of(body.shape.mesh, parties[body.number], pushes, parties, radii)
+        assert body.mesh is not None
+        impact = impact_of(body.mesh, parties[body.number], pushes, parties, radii)
         strikers = tuple((self.bodies[n], p.before, p.after) for n, p in parties.items() if n != body.number)
         own = parties[body.number]
         return Hit(body, impact, own.before, own.after, strikers)
@@ -216,6 +256,16 @@ class Stage:
         weight = np.array([0.0, 0.0, -body.mass.mass * self.scene.gravity * dt])
         gained = body.mass.mass * (after.velocity - before[body.number].velocity) - weight
         return Party(before[body.number], after, gained, body.kind == "ball")
+
+
+def _fixed(number: int, name: str, kind: str) -> Body:
+    return Body(number, name, kind, None, Mass(np.inf, np.zeros(3), np.eye(3)), FLOOR_RADIUS)
+
+
+def block_motion(block: Block) -> Motion:
+    """Where a block stays."""
+    quat = np.asarray(block.quat_wxyz) / np.linalg.norm(block.quat_wxyz)
+    return Motion(np.asarray(block.position), quat, np.zeros(3), np.zeros(3))
 
 
 def _start(ball: Ball) -> Motion:

@@ -1,0 +1,102 @@
+"""What is left some frames after the hit, where fragments that are hit again may break again.
+
+The paper's data are captured after one second of the rigid-body simulation, in which fragments that meet each
+other or the ball break again. The pattern on the grid of the whole is then that of the last generation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepfracture.carve import cut
+from deepfracture.fracture import Pieces
+from deepfracture.geometry import closest, signed_distance_points
+from deepfracture.types import FracturePattern, Fragment, Fragments, Impact, Material, Mesh, Shape
+from deepfracture.world import Outcome, Scene
+from deepfracture.world import simulate as run_world
+
+RIM = 2.0
+"""Voxels around the box of a fragment in which it may be the one that a voxel belongs to."""
+
+
+@dataclass(frozen=True)
+class _Breaker:
+    """The whole breaks as it did; its fragments are simulated."""
+
+    first: Fragments
+    pieces: Pieces
+
+    def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
+        if shape.whole is None:
+            return self.first
+        pattern = self.pieces(shape, impact, rng)
+        return None if pattern is None else several(shape, pattern, self.pieces.material)
+
+
+def broken_again(
+    scene: Scene, shape: Shape, material: Material, pattern: FracturePattern, rng: np.random.Generator, *,
+    frames: int, generations: int,
+) -> FracturePattern:  # fmt: skip
+    """The pattern of what is left `frames` frames after the last ball should have arrived.
+
+    Args:
+        scene: One shape and what hits it.
+        pattern: How the first hit breaks the whole.
+        generations: Of fragments that may break again.
+    """
+    first = several(shape, pattern, material)
+    if first is None:
+        return pattern
+    arrival = max(ball.delay + np.linalg.norm(ball.position) / np.linalg.norm(ball.velocity) for ball in scene.balls)
+    scene = replace(scene, refracture=generations, duration=float(arrival) + frames / scene.frame_rate)
+    breaker = _Breaker(first, Pieces(material, pattern.grid))
+    outcome = run_world(scene, [shape], breaker, rng, materials={material.name: material})
+    if not any(collision.generation for collision in outcome.breaks):
+        return pattern
+    return pattern_of(leaves(outcome), pattern)
+
+
+def several(shape: Shape, pattern: FracturePattern, material: Material) -> Fragments | None:
+    """The shape cut along a pattern; None if what the pattern parts is dust to the mesh."""
+    fragments = cut(shape, pattern, density=material.density)
+    return fragments if len(fragments) > 1 else None
+
+
+def leaves(outcome: Outcome) -> list[Fragment]:
+    """All fragments that did not break again, in the order of their names."""
+    left: dict[str, Fragment] = {}
+    for collision in outcome.breaks:
+        assert collision.fragments is not None
+        left.pop(collision.body, None)
+        left |= {f"{collision.body}.{i:03d}": piece for i, piece in enumerate(collision.fragments)}
+    return [left[name] for name in sorted(left)]
+
+
+def pattern_of(fragments: list[Fragment], whole: FracturePattern) -> FracturePattern:
+    """Fragments of a shape as a pattern on the grid of `whole`, which says what voxels the shape has.
+
+    A voxel belongs to the fragment that its centre is deepest in (or, at the surface, least far out of), so
+    every one to exactly one. Distances are those to the nearest crack surface of any fragment, exact."""
+    grid = whole.grid
+    voxels = np.argwhere(whole.labels > 0)
+    centres = grid.to_world(voxels)
+    depth, owner = np.full(len(voxels), -np.inf), np.zeros(len(voxels), np.int64)
+    for number, piece in enumerate(fragments):
+        low, high = piece.mesh.bounds + RIM * grid.spacing * np.array([[-1.0], [1.0]])
+        near = np.flatnonzero(((centres >= low) & (centres <= high)).all(axis=1))
+        deeper = signed_distance_points(piece.mesh, centres[near])
+        won = deeper > depth[near]
+        depth[near[won]], owner[near[won]] = deeper[won], number
+    assert np.isfinite(depth).all()
+    labels, distance = np.zeros(grid.shape, np.int32), np.zeros(grid.shape, np.float32)
+    labels[tuple(voxels.T)] = np.unique(owner, return_inverse=True)[1].reshape(-1) + 1
+    distance[tuple(voxels.T)] = closest(_cracks(fragments), centres).distance
+    return FracturePattern(grid, labels, distance)
+
+
+def _cracks(fragments: list[Fragment]) -> Mesh:
+    """The crack surfaces of all fragments as one soup of triangles."""
+    corners = np.concatenate([piece.mesh.triangles[piece.source < 0] for piece in fragments]).reshape(-1, 3)
+    return Mesh(corners, np.arange(len(corners)).reshape(-1, 3))

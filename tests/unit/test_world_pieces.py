@@ -1,0 +1,103 @@
+"""Fragments as shapes of their own: there and back, and the laws of similarity in between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deepfracture.fracture import critical_stress, material, prepare_piece, similar
+from deepfracture.fracture.contact import contacts
+from deepfracture.geometry import mass_properties
+from deepfracture.types import Fragment, Fragments, Grid, Impact, Mesh, Shape
+from deepfracture.world.pieces import as_shape, real, scaled
+
+PLASTER = material("plaster")
+
+
+def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    return Mesh(low + corners * (np.array(high) - low), faces)
+
+
+def _fragment(mesh: Mesh, source: np.ndarray | None = None) -> Fragment:
+    have = mass_properties(mesh, PLASTER.density)
+    return Fragment(
+        mesh, np.arange(len(mesh.faces)) if source is None else source, have.mass, have.centre, have.inertia
+    )
+
+
+WHOLE = Shape("beam", _box((-1, -0.4, -0.3), (1, 0.4, 0.3)), scale=30.0, centre=np.array([100.0, 0.0, -5.0]))
+CORNER = _fragment(_box((0.5, -0.4, 0.0), (1.0, 0.1, 0.3)), np.array([7, -1, 3, -1, 5, -1, 9, -1, 11, -1, 2, -1]))
+PIECE = as_shape(CORNER, "corner", WHOLE)
+
+
+def test_a_piece_has_a_frame_of_its_own_and_knows_the_way_back() -> None:
+    np.testing.assert_allclose(np.ptp(PIECE.mesh.bounds, axis=0).max(), 2)
+    np.testing.assert_allclose(PIECE.mesh.bounds.sum(axis=0), 0, atol=1e-12)
+    assert PIECE.size == pytest.approx(0.25)
+    assert PIECE.whole is WHOLE
+    np.testing.assert_allclose(PIECE.to_user(PIECE.mesh.vertices), WHOLE.to_user(CORNER.mesh.vertices), atol=1e-12)
+
+
+def test_what_a_piece_breaks_into_is_real_again() -> None:
+    """Halves cut in the piece's frame have the place, mass and inertia of halves cut in the whole's."""
+    low, high = PIECE.mesh.bounds
+    middle = (low + high) / 2
+    cracked = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -1, 11])
+    halves = [
+        _fragment(_box(tuple(low), (middle[0], high[1], high[2])), cracked),
+        _fragment(_box((middle[0], low[1], low[2]), tuple(high))),
+    ]
+    back = list(real(Fragments(tuple(halves)), PIECE, CORNER.source))
+    expected = [_box((0.5, -0.4, 0.0), (0.75, 0.1, 0.3)), _box((0.75, -0.4, 0.0), (1.0, 0.1, 0.3))]
+    for piece, mesh in zip(back, expected, strict=True):
+        have = mass_properties(mesh, PLASTER.density)
+        np.testing.assert_allclose(piece.mesh.bounds, mesh.bounds, atol=1e-12)
+        assert piece.mass == pytest.approx(have.mass)
+        np.testing.assert_allclose(piece.centre, have.centre, atol=1e-12)
+        np.testing.assert_allclose(piece.inertia, have.inertia, rtol=1e-9, atol=1e-9)
+    assert sum(piece.mass for piece in back) == pytest.approx(CORNER.mass)
+    # Faces of the piece's outside are named by the triangle of the whole, its old and new cracks by -1.
+    assert back[0].source.tolist() == [7, -1, 3, -1, 5, -1, 9, -1, 11, -1, -1, -1]
+    assert back[1].source.tolist() == CORNER.source.tolist()
+
+
+def test_scaled_impacts_keep_stress_and_scale_time() -> None:
+    """Geometrically similar bodies of one material struck at one speed have the same stress (here: under the
+    contact), and the contact lasts in proportion to the size."""
+    normal = np.array([[0.0, 0.0, 1.0]])
+    impact = Impact(np.array([[0.7, -0.1, 0.3]]), -normal, np.array([40.0]), normal, speed=6.0, radius=0.2)
+    small = scaled(impact, PIECE)
+    s = PIECE.size
+    np.testing.assert_allclose(PIECE.to_user(small.position), WHOLE.to_user(impact.position))
+    assert small.magnitude[0] == pytest.approx(40.0 / s**3)
+    area = float(np.linalg.norm(CORNER.mesh.area_vectors, axis=1).sum())
+    own_area = float(np.linalg.norm(PIECE.mesh.area_vectors, axis=1).sum())
+    assert critical_stress(small, PLASTER, own_area) == pytest.approx(critical_stress(impact, PLASTER, area))
+    (before,), (after,) = contacts(impact, PLASTER), contacts(small, PLASTER)
+    assert after.time == pytest.approx(before.time / s)
+    assert after.radius == pytest.approx(before.radius / s)
+    assert after.force == pytest.approx(before.force / s**2)
+
+
+def test_similar_materials_keep_the_strength_and_griffiths_ratio() -> None:
+    s = 0.25
+    own = similar(PLASTER, s)
+    assert (own.strength, own.young, own.density, own.poisson) == (
+        PLASTER.strength, PLASTER.young, PLASTER.density, PLASTER.poisson,
+    )  # fmt: skip
+    # A crack of length a becomes a / s: stress sqrt(a) / K must not change.
+    assert (0.1 / s) ** 0.5 / own.toughness == pytest.approx(0.1**0.5 / PLASTER.toughness)
+    assert own.variation_length * s == pytest.approx(PLASTER.variation_length)
+    assert own.roughness * s == pytest.approx(PLASTER.roughness)
+
+
+def test_a_piece_is_prepared_coarsely_and_not_kept(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    body = prepare_piece(PIECE, PLASTER, Grid(128))
+    assert body.grid.resolution == 32  # 128 voxels over the whole are 32 over a quarter of it
+    assert 300 < len(body.elastic.mesh.faces) < 800
+    assert body.material == similar(PLASTER, PIECE.size)
+    assert not list(tmp_path.rglob("*"))
