@@ -26,6 +26,10 @@ class BadInput(ValueError):
     """A file or value that cannot be used. The message is one line: which, what is wrong, what to do."""
 
 
+class NoSolution(RuntimeError):
+    """A computation that came to no result. The message is one line: which, and why."""
+
+
 def _array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray:
     """`value` as a read-only contiguous array of `shape` (None: any length)."""
     array = np.ascontiguousarray(value, dtype=dtype)

@@ -23,6 +23,7 @@ from deepfracture.types import (
     Impact,
     Material,
     Mesh,
+    NoSolution,
     Recording,
     Shape,
 )
@@ -60,7 +61,19 @@ def fake_collisions(settings: store.Settings):
 
 def failing_collisions(settings: store.Settings):
     def collide(rng: np.random.Generator) -> Outcome:
-        raise BadInput("ball: too round")
+        raise ZeroDivisionError("ball: too round")
+
+    return collide
+
+
+def stubborn_collisions(settings: store.Settings):
+    """As `fake_collisions`, but every fourth or so cannot be solved."""
+    simple = fake_collisions(settings)
+
+    def collide(rng: np.random.Generator) -> Outcome:
+        if rng.random() < 0.25:
+            raise NoSolution("the stress did not converge")
+        return simple(rng)
 
     return collide
 
@@ -151,8 +164,19 @@ def test_a_finished_set_starts_no_worker(finished: Path, monkeypatch: pytest.Mon
 
 
 def test_an_error_in_a_worker_reaches_the_caller(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="ball: too round"):
+    with pytest.raises(ZeroDivisionError, match="ball: too round"):
         run(tmp_path / "set", prepare=failing_collisions)
+
+
+def test_what_the_solver_cannot_take_is_counted_and_passed_over(tmp_path: Path) -> None:
+    data = run(tmp_path / "set", collisions=24, prepare=stubborn_collisions)
+    assert 0 < data.failed < 12
+    assert data.tried == 24 == len(data) + data.unbroken + data.failed
+    reasons = [json.loads(path.read_text())["reason"] for path in (tmp_path / "set" / "failed").iterdir()]
+    assert reasons == ["the stress did not converge"] * data.failed
+    before = digests(tmp_path / "set")
+    run(tmp_path / "set", collisions=24, prepare=failing_collisions)  # nothing is left to do
+    assert digests(tmp_path / "set") == before
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def _dataset(path: Path) -> list[str]:
     lines = [
         f"{path}: data set of {data.shape.name} ({data.material.name}), scene {data.settings.scene}",
         *([f"  fragments broke again, {again} generations in {frames} frames"] if again else []),
-        f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} broke nothing",
+        f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} broke nothing, {data.failed} failed",
         f"  largest impulse {data.max_impulse:.0f} N s",
     ]
     if counts:

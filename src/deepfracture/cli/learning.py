@@ -26,8 +26,8 @@ def simulate(
         speed_range=speed, scene=scene, refracture=refracture, frames=frames,
     )  # fmt: skip
     log.info(
-        "%s: %d patterns from %d collisions (%d broke nothing), largest impulse %.0f N s",
-        out, len(dataset), dataset.tried, dataset.unbroken, dataset.max_impulse,
+        "%s: %d patterns from %d collisions (%d broke nothing, %d failed), largest impulse %.0f N s",
+        out, len(dataset), dataset.tried, dataset.unbroken, dataset.failed, dataset.max_impulse,
     )  # fmt: skip
 
 

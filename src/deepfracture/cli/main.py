@@ -13,7 +13,7 @@ import tyro
 from tyro.conf import Positional
 
 from deepfracture.progress import log
-from deepfracture.types import BadInput
+from deepfracture.types import BadInput, NoSolution
 
 ShapeName = Annotated[Positional[str], tyro.conf.arg(metavar="SHAPE", help="A mesh file, or a built-in shape.")]
 app = tyro.extras.SubcommandApp()
@@ -205,6 +205,9 @@ def main(args: Sequence[str] | None = None) -> None:
     except BadInput as problem:
         sys.stderr.write(f"deepfracture: {problem}\n")
         sys.exit(2)
+    except NoSolution as problem:
+        sys.stderr.write(f"deepfracture: {problem}\n")
+        sys.exit(1)
     except KeyboardInterrupt:
         sys.stderr.write("deepfracture: interrupted; run the same command again to go on\n")
         sys.exit(130)

@@ -22,11 +22,12 @@ from deepfracture.dataset.store import (
     create,
     done,
     open_dataset,
+    write_failed,
     write_sample,
     write_unbroken,
 )
-from deepfracture.progress import track
-from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Shape
+from deepfracture.progress import log, track
+from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, NoSolution, Shape
 
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -66,7 +67,8 @@ def simulate_collisions(
     workers there are and however often the job was interrupted.
 
     Args:
-        collisions: Balls thrown in all; those that break nothing are counted and left out.
+        collisions: Balls thrown in all; those that break nothing, or that the solver cannot take, are counted
+            and left out.
         speed_range: Slowest and fastest ball [m/s].
         scene: Kind of scene, one of `world.KINDS`.
         refracture: Generations of fragments that may break again ...
@@ -177,7 +179,12 @@ def _collide(k: int) -> None:
     assert _worker is not None
     out, settings, collide = _worker
     seed = collision_seed(settings.seed, k)
-    outcome = collide(np.random.default_rng(seed))
+    try:
+        outcome = collide(np.random.default_rng(seed))
+    except (NoSolution, BadInput) as problem:  # of this one collision: the others need not suffer
+        log.warning("%s: collision %d passed over: %s", out, k, problem)
+        write_failed(out, k, str(problem), seed)
+        return
     if outcome.impact is None or outcome.pattern is None:
         write_unbroken(out, k, outcome.impact, seed)
     else:

@@ -4,6 +4,7 @@
     shape/              zarr group: vertices, faces
     samples/000012/     zarr group: labels, distance; its attributes hold the impact and the seed
     unbroken/000013.json    a collision that broke nothing
+    failed/000014.json      one that could not be simulated, and why
 
 Every entry is written under another name and moved into place, so it is whole or not there. What
 has been tried is what lies in the folder: no counter can disagree with it.
@@ -30,6 +31,8 @@ FORMAT = 2
 SINCE_FORMAT_2 = {"scene": "single", "refracture": 0, "frames": 0}
 """What format 1 does not say, and what its data sets are."""
 MANIFEST = "dataset.json"
+KINDS = ("samples", "unbroken", "failed")
+"""What can become of a collision: a folder each."""
 IMPACT_FIELDS = ("position", "direction", "magnitude", "normal")
 
 
@@ -89,6 +92,8 @@ class Dataset:
     """Folders of the samples, in the order of their collisions."""
     unbroken: int
     """Collisions that broke nothing."""
+    failed: int
+    """Collisions that could not be simulated."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -109,8 +114,8 @@ class Dataset:
 
     @property
     def tried(self) -> int:
-        """Collisions simulated, broken or not."""
-        return len(self) + self.unbroken
+        """Collisions thrown, whatever became of them."""
+        return len(self) + self.unbroken + self.failed
 
     def impacts(self) -> list[Impact]:
         """The impact of every sample, without reading the patterns."""
@@ -139,7 +144,7 @@ def open_dataset(path: Path | str) -> Dataset:
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise BadInput(f"{file}: not a readable data set: {_one_line(error)}") from error
     samples = tuple(sorted(_entries(path / "samples")))
-    return Dataset(path, settings, samples, len(_entries(path / "unbroken")))
+    return Dataset(path, settings, samples, len(_entries(path / "unbroken")), len(_entries(path / "failed")))
 
 
 def create(path: Path, settings: Settings) -> None:
@@ -158,15 +163,15 @@ def create(path: Path, settings: Settings) -> None:
         return
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise BadInput(f"{path}: exists and is not a data set; use another folder")
-    for name in ("samples", "unbroken"):
+    for name in KINDS:
         (path / name).mkdir(parents=True, exist_ok=True)
     _write_shape(path / "shape", settings.shape.mesh)
     _write_text(file, json.dumps(wanted, indent=1))
 
 
 def done(path: Path) -> set[int]:
-    """Collisions that have been simulated, by number."""
-    return {int(name.split(".")[0]) for kind in ("samples", "unbroken") for name in _entries(path / kind)}
+    """Collisions that have been dealt with, by number."""
+    return {int(name.split(".")[0]) for kind in KINDS for name in _entries(path / kind)}
 
 
 def write_sample(path: Path, k: int, sample: Sample) -> None:
@@ -196,6 +201,12 @@ def write_unbroken(path: Path, k: int, impact: Impact | None, seed: int) -> None
     """Record that collision `k` broke nothing (`impact` is None when the ball missed)."""
     strength = None if impact is None else {"impulse": float(impact.magnitude[0]), "speed": impact.speed}
     _write_text(path / "unbroken" / f"{k:06d}.json", json.dumps({"seed": seed, "impact": strength}))
+
+
+def write_failed(path: Path, k: int, reason: str, seed: int) -> None:
+    """Record why collision `k` could not be simulated."""
+    (path / "failed").mkdir(exist_ok=True)  # sets of older versions have none
+    _write_text(path / "failed" / f"{k:06d}.json", json.dumps({"seed": seed, "reason": reason}))
 
 
 def _entries(folder: Path) -> list[str]:

@@ -30,7 +30,7 @@ from deepfracture.fracture.integrals import (
     triangle_integrals,
 )
 from deepfracture.geometry import mass_properties
-from deepfracture.types import BadInput, Floats, Ints, Labels, Mesh
+from deepfracture.types import BadInput, Floats, Ints, Labels, Mesh, NoSolution
 
 FAR = 3.0
 """Distance of two triangles, in diameters of the inner one, beyond which three points integrate it:
@@ -151,6 +151,7 @@ def solve(body: ElasticBody, tractions: ArrayLike) -> Solution:
     """The elastic state under `tractions` [Pa], shape (nt, 3), constant on each triangle.
 
     Whatever force and torque the load has accelerates the free body; the inertia is part of the state.
+    Raises NoSolution if the system is singular.
     """
     from scipy.linalg import lu_solve
 
@@ -164,6 +165,8 @@ def solve(body: ElasticBody, tractions: ArrayLike) -> Solution:
     right = body.single_layer @ rest.ravel()
     displacement = lu_solve((body.factor, body.pivots), right, trans=1, check_finite=False)
     displacement -= body.rigid_modes @ (body.rigid_modes.T @ displacement)
+    if not np.isfinite(displacement).all():
+        raise NoSolution("the elastic system of this mesh is singular: it has triangles that coincide or vanish")
     return Solution(body, rest, displacement.reshape(-1, 3), acceleration, spin)
 
 

@@ -92,7 +92,7 @@ def card_text(dataset: Dataset, config: Config, command: str, seed: int, size: i
             "",
             f"data      deepfracture simulate {settings.shape.name} --collisions {dataset.tried} --material "
             f"{settings.material.name} --resolution {settings.resolution} --speed {slow:g} {fast:g} "
-            f"--seed {settings.seed}",
+            f"--scene {settings.scene} --seed {settings.seed}",
             f"          {len(dataset)} patterns, {dataset.unbroken} collisions broke nothing, "
             f"I_max {dataset.max_impulse:.1f} N s",
             f"training  {command}",
