@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from deepfracture.fracture import cracked
 from deepfracture.fracture.cracked import CORNERS, CrackedSolid, cube_stiffness
 from deepfracture.fracture.stress import Load, principal
-from deepfracture.types import BadInput
+from deepfracture.types import BadInput, NoSolution
 
 YOUNG, POISSON, DENSITY, SIDE = 4e9, 0.25, 1100.0, 0.05
 TENSION = np.array([[1e6, 0, 0, 0, 0, 0]])
@@ -121,6 +122,14 @@ def test_nothing_happens_without_cracks_and_nothing_can_be_made_of_nothing() -> 
     assert not solid.stress().any()
     with pytest.raises(BadInput, match="at least one cell"):
         CrackedSolid.on(np.zeros((3, 3, 3), bool), spacing=1.0, young=1.0, poisson=0.2, density=1.0)
+
+
+def test_a_step_that_does_not_converge_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cracked, "MOST_ITERATIONS", 2)
+    solid = bar()
+    cut_at(solid, 10)
+    with pytest.raises(NoSolution, match="did not converge in 2 iterations"):
+        solid.advance(np.repeat(TENSION, len(solid.cells), axis=0), 1e-4)
 
 
 def test_principal_stresses_are_eigenvalues() -> None:
