@@ -8,8 +8,8 @@ from deepfracture.fracture import breaks
 from deepfracture.types import BadInput, Impact, Material, Shape
 from deepfracture.world import first_impact, learning_scene
 
-SPEEDS = (4.0, 15.0)
-"""Slowest and fastest ball [m/s]: those of `deepfracture simulate`."""
+SPEEDS = (5.0, 30.0)
+"""Slowest and fastest ball [m/s]: from hits that just break a heavy body to those that shatter it."""
 TRIES = 20
 """Balls thrown for each hit that is wanted, before giving up."""
 

@@ -17,7 +17,7 @@ SURE = 10.0
 """Added to the slope [1, at most 1 in a distance field] towards a voxel that no crack can separate."""
 
 
-def segment(volume: Volume, *, tolerance: float = 0.3, min_voxels: int = 8) -> FracturePattern:
+def segment(volume: Volume, *, tolerance: float = 0.5, min_voxels: int = 8) -> FracturePattern:
     """Caged segmentation of a GS-SDF into fragments.
 
     Voxels are flooded from the highest value down. A peak starts a region; where two regions meet, at
