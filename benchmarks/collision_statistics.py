@@ -1,12 +1,15 @@
 """Statistics of many collisions: how fragments answer to the impulse, and how large they are.
 
-Three questions, for each shape:
+Four questions, for each shape:
 - Does the number of fragments rise with the impulse? Spearman's rank correlation with a bootstrap interval; a
   collision that broke nothing counts as one fragment.
 - Does the share of small fragments among those near the hit rise with it? Near: the fragment's centre lies within
   --near of the strongest contact. Small: smaller than --small times the mean volume of all fragments of all the
   shape's collisions, so that the measure is one for the shape and does not shrink with the fragments themselves. A
   collision with no fragment near the hit, or that broke nothing, has the share zero.
+- Does more of the body near the hit end up in small pieces? The share of the volume within --near of the strongest
+  contact that belongs to fragments below --piece of the body's volume. Unlike the share above it weighs pieces by
+  their size, and a large fragment counts where it is, not where its centre lies.
 - Are volumes distributed as Mott found, P(V) = exp(-(6 V / V_mean)^(1/3)) the share of fragments larger than V (Mott
   and Linfoot 1943; the paper's figure)? V_mean is each collision's own; the distances of Kolmogorov and Smirnov are
   also given for FractureRB's volumes. The simulator joins pieces of fewer than 64 voxels to a neighbour: below that
@@ -26,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from common import DATA, REFERENCE, ROOT, SPEEDS, fragment_volumes, shape_named, start, table, write_json, write_text
 
-from deepfracture.dataset import Dataset, open_dataset, simulate_collisions
+from deepfracture.dataset import Dataset, Sample, open_dataset, simulate_collisions
 from deepfracture.export.files import replacing
 from deepfracture.fracture import material
 from deepfracture.progress import log, track
@@ -54,6 +57,8 @@ class Collisions:
     """Fragments, 1 where nothing broke, shape (n,)."""
     small: Floats
     """Share of small fragments among those near the hit, shape (n,)."""
+    shattered: Floats
+    """Share of the volume near the hit that is in small pieces, shape (n,)."""
     volumes: tuple[Floats, ...]
     """Fragment volumes [m^3] of each collision that broke the shape."""
 
@@ -79,6 +84,7 @@ def collision_statistics(
     speed: tuple[float, float] = SPEEDS,
     near: float = 0.5,
     small: float = 0.1,
+    piece: float = 0.1,
     workers: int = 2,
     seed: int = 0,
     data: Path = DATA,
@@ -97,6 +103,7 @@ def collision_statistics(
         speed: slowest and fastest ball [m/s].
         near: fragments whose centre is this near to the hit count as near [m].
         small: fragments below this share of the shape's mean fragment volume count as small.
+        piece: fragments below this share of the body's volume are small in the measure by volume.
         workers: processes.
         seed: of the collisions, and of the bootstrap.
         data: folder of meshes.
@@ -118,7 +125,7 @@ def collision_statistics(
             )  # fmt: skip
     if not sets:
         raise BadInput("shapes: none of them is there")
-    measured = [measure(dataset, near=near, small=small) for dataset in sets]
+    measured = [measure(dataset, near=near, small=small, piece=piece) for dataset in sets]
     found = {collision.name: figures(collision, seed) for collision in measured}
     paper = fracturerb(reference / "fracturerb_volumes.json")
     for collision in measured:
@@ -126,21 +133,22 @@ def collision_statistics(
     write_json(
         docs / "statistics.json", {"shapes": found, "fracturerb": {k: mott_distance([v]) for k, v in paper.items()}}
     )
-    text = report(found, paper, near, small)
+    text = report(found, paper, near, small, piece)
     write_text(docs / "statistics.md", text)
     log.warning("%s", text)
     return docs / "statistics.md"
 
 
-def measure(dataset: Dataset, *, near: float, small: float) -> Collisions:
-    """What the statistics are of; collisions whose ball missed are left out. `near`, `small`: see the module."""
-    impulses, counts, around, volumes = [], [], [], []
+def measure(dataset: Dataset, *, near: float, small: float, piece: float) -> Collisions:
+    """What the statistics are of; collisions whose ball missed are left out. The limits: see the module."""
+    impulses, counts, around, shattered, volumes = [], [], [], [], []
     for sample in track(dataset, name=dataset.shape.name, total=len(dataset)):
         sizes, centres = fragment_volumes(sample.pattern)
         close = np.linalg.norm(centres - sample.impact.position[0], axis=1) < near
         impulses.append(float(sample.impact.magnitude[0]))
         counts.append(len(sizes))
         around.append(sizes[close])
+        shattered.append(_shattered(sample, near, piece))
         volumes.append(sizes)
     if not volumes:
         raise BadInput(f"{dataset.path}: no collision broke the shape; nothing to measure")
@@ -152,8 +160,19 @@ def measure(dataset: Dataset, *, near: float, small: float) -> Collisions:
         np.array(impulses + weak),
         np.array(counts + [1] * len(weak), float),
         np.array(shares + [0.0] * len(weak)),
+        np.array(shattered + [0.0] * len(weak)),
         tuple(volumes),
     )
+
+
+def _shattered(sample: Sample, near: float, piece: float) -> float:
+    """Share of the volume near the hit that is in fragments below `piece` of the body."""
+    labels, grid = sample.pattern.labels, sample.pattern.grid
+    sizes = np.bincount(labels.ravel())
+    inside = np.argwhere(labels > 0)
+    close = np.linalg.norm(grid.to_world(inside) - sample.impact.position[0], axis=1) < near
+    there = sizes[labels[tuple(inside[close].T)]]
+    return float((there < piece * len(inside)).mean()) if len(there) else 0.0
 
 
 def figures(collisions: Collisions, seed: int) -> dict[str, Any]:
@@ -166,6 +185,7 @@ def figures(collisions: Collisions, seed: int) -> dict[str, Any]:
         "fragments": [float(q) for q in np.quantile(collisions.count, (0, 0.5, 1))],
         "count_rises": asdict(rank_correlation(collisions.impulse, collisions.count, rng)),
         "small_rises": asdict(rank_correlation(collisions.impulse, collisions.small, rng)),
+        "shattered_rises": asdict(rank_correlation(collisions.impulse, collisions.shattered, rng)),
         "mott": mott_distance(collisions.volumes),
         "largest_share": float(np.median([v.max() / v.sum() for v in collisions.volumes])),
     }
@@ -202,28 +222,31 @@ def fracturerb(path: Path) -> dict[str, Floats]:
     return {name: np.array(run["volumes"]) for name, run in runs.items() if len(run["volumes"]) > 1}
 
 
-def report(found: dict[str, dict[str, Any]], paper: dict[str, Floats], near: float, small: float) -> str:
+def report(found: dict[str, dict[str, Any]], paper: dict[str, Floats], near: float, small: float, piece: float) -> str:
     """statistics.md."""
     head = (
         "shape", "collisions", "broke", "impulse [N s]", "fragments min/median/max", "fragments rise with impulse",
-        "small near the hit rise", f"both >= {WANTED}", "Mott: KS distance", "largest fragment, median",
+        "small ones near the hit rise", "volume in small ones near the hit rises",
+        f"first and last >= {WANTED}", "Mott: KS distance", "largest fragment, median",
     )  # fmt: skip
     rows = []
     for name, about in found.items():
-        count, share = Correlation(**about["count_rises"]), Correlation(**about["small_rises"])
+        count, share, shattered = (Correlation(**about[f"{what}_rises"]) for what in ("count", "small", "shattered"))
         low, middle, high = about["fragments"]
-        reached = "yes" if min(count.rho, share.rho) >= WANTED else "no"
+        reached = "yes" if min(count.rho, shattered.rho) >= WANTED else "no"
         rows.append((
             name, about["collisions"], about["broke"], "{:.0f} to {:.0f}".format(*about["impulse"]),
-            f"{low:g} / {middle:g} / {high:g}", count, share, reached, f"{about['mott']:.2f}",
+            f"{low:g} / {middle:g} / {high:g}", count, share, shattered, reached, f"{about['mott']:.2f}",
             f"{about['largest_share']:.0%}",
         ))  # fmt: skip
     lines = [
         "# Fragments in numbers",
         "Made by `python benchmarks/collision_statistics.py`. Rank correlations are Spearman's, with the "
         f"{CONFIDENCE:.0%} interval of {RESAMPLES} bootstrap samples. Small: below {small:g} of the mean volume of all "
-        f"fragments of the shape's collisions; near: centre within {near:g} m of the hit. Mott: the largest difference "
-        "between the share of fragments larger than V and exp(-(6 V / V_mean)^(1/3)), V_mean of each collision.",
+        f"fragments of the shape's collisions; near: centre within {near:g} m of the hit. Volume in small ones: the "
+        f"share of the volume within {near:g} m of the hit that is in fragments below {piece:g} of the body. Mott: the "
+        "largest difference between the share of fragments larger than V and exp(-(6 V / V_mean)^(1/3)), V_mean of "
+        "each collision.",
         table(head, rows).rstrip(),
     ]
     if paper:
@@ -255,9 +278,8 @@ def _plot(collisions: Collisions, about: dict[str, Any], paper: dict[str, Floats
     figure = Figure(figsize=(12, 3.6), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     _scatter(left, collisions, collisions.count, "fragments", Correlation(**about["count_rises"]))
-    _scatter(
-        middle, collisions, collisions.small, "share of small ones near the hit", Correlation(**about["small_rises"])
-    )
+    what = "share of the volume near the hit in small ones"
+    _scatter(middle, collisions, collisions.shattered, what, Correlation(**about["shattered_rises"]))
     for name, volumes in paper.items():
         if name.startswith(collisions.name):
             _larger(right, [volumes], PALE, f"FractureRB, KS {mott_distance([volumes]):.2f}")

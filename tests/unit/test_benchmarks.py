@@ -143,6 +143,7 @@ def test_statistics_find_what_rises_with_the_impulse(tmp_path: Path) -> None:
     assert about["count_rises"]["rho"] == pytest.approx(1, abs=1e-9)
     assert about["count_rises"]["low"] <= about["count_rises"]["rho"] <= about["count_rises"]["high"]
     assert about["small_rises"]["rho"] > 0.6
+    assert about["shattered_rises"]["rho"] > 0.6
     assert (tmp_path / "images" / "statistics" / "bar.png").stat().st_size > 5000
     assert "| bar | 12 |" in (tmp_path / "statistics.md").read_text()
 
