@@ -251,9 +251,14 @@ class Volume:
     grid: Grid
     values: Floats32
     """[m], shape (r, r, r)."""
+    cuts: NDArray[np.uint8] | None = None
+    """Bits 1, 2, 4: a crack parts the voxel from the next one along x, y, z, shape (r, r, r). None: not known,
+    as in the paper; what is parted then follows from the values, with some loss."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _array("values", self.values, np.float32, self.grid.shape))
+        if self.cuts is not None:
+            object.__setattr__(self, "cuts", _array("cuts", self.cuts, np.uint8, self.grid.shape))
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,7 +117,7 @@ def collide(settings):
     """Hits on the end of the bar break it into slabs: the stronger, the more and the thinner."""
     inside = signed_distance(settings.shape.mesh, Grid(settings.resolution)) > 0
 
-    def one(rng: np.random.Generator) -> Outcome:
+    def one(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
         strength = int(rng.integers(1, 9))
         impact = Impact([[-1.0, 0, 0]], [[1.0, 0, 0]], [100.0 * strength], [[-1.0, 0, 0]], speed=1.0, radius=0.2)
         x = np.arange(settings.resolution)[:, None, None]

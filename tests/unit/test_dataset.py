@@ -51,7 +51,7 @@ def random_sample(rng: np.random.Generator, resolution: int = 32) -> Sample:
 def fake_collisions(settings: store.Settings):
     """Stands in for world and simulator: a third of the balls break nothing, some miss."""
 
-    def collide(rng: np.random.Generator) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
         kind = rng.integers(6)
         sample = random_sample(rng, settings.resolution)
         return Outcome(None if kind == 0 else sample.impact, None if kind < 2 else sample.pattern)
@@ -60,7 +60,7 @@ def fake_collisions(settings: store.Settings):
 
 
 def failing_collisions(settings: store.Settings):
-    def collide(rng: np.random.Generator) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
         raise ZeroDivisionError("ball: too round")
 
     return collide
@@ -70,7 +70,7 @@ def stubborn_collisions(settings: store.Settings):
     """As `fake_collisions`, but every fourth or so cannot be solved."""
     simple = fake_collisions(settings)
 
-    def collide(rng: np.random.Generator) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
         if rng.random() < 0.25:
             raise NoSolution("the stress did not converge")
         return simple(rng)
@@ -208,13 +208,32 @@ def test_sets_of_format_one_are_of_single_balls(tmp_path: Path, finished: Path) 
     shutil.copytree(finished, folder)
     manifest = folder / "dataset.json"
     values = json.loads(manifest.read_text()) | {"format": 1}
-    for name in store.SINCE_FORMAT_2:
+    for name in store.UNSAID:
         del values[name]
     manifest.write_text(json.dumps(values))
     assert open_dataset(folder).settings.scene == "single"
     assert run(folder, collisions=9).tried == 9
     with pytest.raises(BadInput, match="another scene: single, not shear"):
         run(folder, scene="shear")
+
+
+def repeated_collisions(settings: store.Settings):
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+        impact = random_sample(rng, settings.resolution).impact
+        return Outcome(impact, random_sample(again or rng, settings.resolution).pattern)
+
+    return collide
+
+
+def test_repeats_share_the_impact_but_not_the_material(tmp_path: Path) -> None:
+    plain = run(tmp_path / "plain", collisions=3, prepare=repeated_collisions)
+    made = run(tmp_path / "repeated", collisions=3, repeats=2, prepare=repeated_collisions)
+    assert made.collisions() == [(0, 1), (2, 3), (4, 5)]
+    assert plain.collisions() == [(0,), (1,), (2,)]
+    for once, (first, second) in zip(plain, made.collisions(), strict=True):
+        assert np.array_equal(made[first].pattern.labels, once.pattern.labels)
+        assert np.array_equal(made[first].impact.magnitude, made[second].impact.magnitude)
+        assert not np.array_equal(made[first].pattern.labels, made[second].pattern.labels)
 
 
 def test_frames_count_only_with_refracture(tmp_path: Path, finished: Path) -> None:

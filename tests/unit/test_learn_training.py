@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 
 from deepfracture.carve import encode, segment, voronoi_pattern
+from deepfracture.compare import variation_of_information
 from deepfracture.dataset import Dataset, Sample, open_dataset, store
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import (
+    AS_PUBLISHED,
     Config,
     embedded_model,
     load_model,
     network,
     predict,
     train,
-    variation_of_information,
 )
 from deepfracture.learn.checkpoint import pack_distance, read, unpack_distance, write
 from deepfracture.types import BadInput, Grid, Impact, Material, Mesh, Shape
@@ -82,7 +83,7 @@ def test_training_patterns_are_remembered(dataset: Dataset, run: Path) -> None:
 def test_the_hit_of_a_training_pattern_recalls_it(dataset: Dataset, run: Path) -> None:
     model = load_model(run / "model.safetensors")
     index = 2
-    volume = predict(model, dataset[index].impact, np.random.default_rng(0))
+    volume = predict(model, dataset[index].impact, np.random.default_rng(0), AS_PUBLISHED)
     nearest = [int((volume.values == model.decode(code).values).all()) for code in model.codebook]
     assert nearest == [0, 0, 1, 0]
 
@@ -217,8 +218,10 @@ def test_a_truncated_model_is_refused(run: Path, tmp_path: Path, size: int) -> N
     [
         (lambda arrays, facts: arrays.pop("head.weight"), "head.weight"),
         (lambda arrays, facts: arrays.update({"first.bias": np.zeros(3, np.float32)}), "first.bias"),
-        (lambda arrays, facts: arrays["codebook"].__setitem__((0, 0), np.nan), "codebook"),
-        (lambda arrays, facts: arrays.update({"codebook": np.zeros((0, 40), np.float32)}), "codebook"),
+        (lambda arrays, facts: arrays["segment"].__setitem__((0, 0), np.nan), "segment"),
+        (lambda arrays, facts: arrays.update({"rows": np.zeros((0, 1, 7), np.float32)}), "rows"),
+        (lambda arrays, facts: arrays.update({"apart": np.zeros((2, 2), np.float32)}), "apart"),
+        (lambda arrays, facts: facts["similarity"].update({"warmth": 1}), "warmth"),
         (lambda arrays, facts: arrays.update({"head.bias": np.zeros(1, np.int64)}), "head.bias"),
         (lambda arrays, facts: arrays.update({"surface": np.zeros(9, np.uint8)}), "damaged"),
         (lambda arrays, facts: facts.update({"resolution": 31}), "resolution"),

@@ -2,28 +2,36 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
 
 from .base import PatternBreaker, PatternSource
 
-BREAKERS = ("learned", "physical", "voronoi", "nearest")
+if TYPE_CHECKING:
+    from .recalled import Memory
+
+BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
 
 
 def make_breaker(
     name: str, shape: Shape, material: Material, grid: Grid, *, model: Path | None = None, dataset: Path | None = None
 ) -> Breaker:
-    """The breaker called `name` for `shape`; `model` overrides the shipped one, `nearest` looks into `dataset`.
+    """The breaker called `name` for `shape`; `model` overrides the shipped one. `nearest` and `random` recall the
+    patterns of `dataset`, and `cvd` learns from it how many fragments an impulse gives.
 
     Raises `BadInput` when the name is unknown, or when no trained model or data set exists for the shape."""
-    return PatternBreaker(_source(name, shape, material, grid, model, dataset), material)
+    memory = None if dataset is None else recall(shape, dataset)
+    return PatternBreaker(make_source(name, shape, material, grid, model=model, memory=memory), material)
 
 
-def _source(
-    name: str, shape: Shape, material: Material, grid: Grid, model: Path | None, dataset: Path | None
+def make_source(
+    name: str, shape: Shape, material: Material, grid: Grid, *, model: Path | None = None, memory: Memory | None = None
 ) -> PatternSource:
+    """What is inside `make_breaker`: only the pattern, without criterion and cut."""
     if name == "physical":
         from .physical import Physical
 
@@ -34,8 +42,22 @@ def _source(
         return Voronoi(material, grid)
     if name == "learned":
         return _learned(shape, material, model)
-    if name == "nearest":
-        return _nearest(shape, dataset)
+    if name == "cvd":
+        from .cvd import CentroidalVoronoi, fitted_count
+        from .voronoi import count_by_stress
+
+        by_stress = partial(count_by_stress, material=material)
+        return CentroidalVoronoi(by_stress if memory is None else fitted_count(memory), grid)
+    if name in ("nearest", "random"):
+        from .nearest import Nearest
+        from .recalled import Random
+
+        if memory is None:
+            raise BadInput(
+                f"{shape.name}: --breaker {name} recalls simulated patterns, name them with --dataset; "
+                f"make some: deepfracture simulate {shape.name} --out data"
+            )
+        return Nearest(memory) if name == "nearest" else Random(memory)
     raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}")
 
 
@@ -60,19 +82,17 @@ def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSour
     )
 
 
-def _nearest(shape: Shape, path: Path | None) -> PatternSource:
+def recall(shape: Shape, path: Path) -> Memory:
+    """The simulated patterns of `shape` in the folder `path`, to be read when they are needed.
+
+    Raises `BadInput` when there are none, or they are of another shape."""
     from deepfracture.dataset import open_dataset
 
-    from .nearest import Nearest
+    from .recalled import Memory
 
-    if path is None:
-        raise BadInput(
-            f"{shape.name}: --breaker nearest recalls simulated patterns, name them with --dataset; "
-            f"make some: deepfracture simulate {shape.name} --out data"
-        )
     dataset = open_dataset(path)
     if len(dataset) == 0:
         raise BadInput(f"{path}: no pattern in this data set yet; run deepfracture simulate again to go on with it")
     if dataset.shape.mesh.volume != shape.mesh.volume:
         raise BadInput(f"{path}: made for another shape ({dataset.shape.name}), not for {shape.name}")
-    return Nearest(dataset)
+    return Memory(dataset)

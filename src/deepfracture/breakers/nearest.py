@@ -6,21 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.dataset import Dataset
 from deepfracture.learn import normalise_impact
 from deepfracture.progress import stage
 from deepfracture.types import FracturePattern, Impact, Shape
+
+from .recalled import Memory
 
 
 @dataclass(frozen=True)
 class Nearest:
     """The simulated pattern whose strongest impulse, normalised as for the network, is closest."""
 
-    dataset: Dataset
+    memory: Memory
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("nearest"):
-            largest = self.dataset.max_impulse
-            wanted = normalise_impact(impact, largest)
-            known = np.stack([normalise_impact(found, largest) for found in self.dataset.impacts()])
-            return self.dataset[int(((known - wanted) ** 2).sum(axis=1).argmin())].pattern
+            wanted = normalise_impact(impact, self.memory.dataset.max_impulse)
+            return self.memory.pattern(int(((self.memory.rows - wanted) ** 2).sum(axis=1).argmin()))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from deepfracture.carve import voronoi_pattern
 from deepfracture.fracture import critical_stress
-from deepfracture.geometry import signed_distance
 from deepfracture.progress import stage
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Shape
+
+from .surface import Surface
 
 CELLS_AT_THRESHOLD = 4
 MOST_CELLS = 60
@@ -25,17 +27,24 @@ class Voronoi:
     material: Material
     grid: Grid
 
+    @cached_property
+    def _surface(self) -> Surface:
+        return Surface(self.grid)
+
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
-        with stage("distance field"):
-            surface = signed_distance(shape.mesh, self.grid)
+        surface = self._surface(shape)
         with stage("voronoi"):
             inside = self.grid.centres()[surface > 0]
-            area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
-            over = critical_stress(impact, self.material, area) / self.material.strength
-            count = int(np.clip(CELLS_AT_THRESHOLD * over, CELLS_AT_THRESHOLD, MOST_CELLS))
+            count = int(np.clip(count_by_stress(shape, impact, self.material), CELLS_AT_THRESHOLD, MOST_CELLS))
             away = np.linalg.norm(inside - impact.position[0], axis=1)
             near = np.exp(-0.5 * (away / NEAR) ** 2) + 1e-12
             around = rng.choice(len(inside), count - count // 2, p=near / near.sum())
             anywhere = rng.choice(len(inside), count // 2)
             sites = np.unique(inside[np.concatenate([around, anywhere])], axis=0)
             return voronoi_pattern(sites, surface, self.grid)
+
+
+def count_by_stress(shape: Shape, impact: Impact, material: Material) -> float:
+    """Cells, in proportion to how far the stress at the hit exceeds the strength."""
+    area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
+    return CELLS_AT_THRESHOLD * critical_stress(impact, material, area) / material.strength

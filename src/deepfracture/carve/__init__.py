@@ -1,8 +1,8 @@
 """Carving: fracture pattern to GS-SDF, GS-SDF to fragments, fragments out of the original mesh."""
 
 from deepfracture.carve.cut import cut
-from deepfracture.carve.encode import encode
+from deepfracture.carve.encode import cuts_of, encode
 from deepfracture.carve.segment import segment
 from deepfracture.carve.voronoi import voronoi_pattern
 
-__all__ = ["cut", "encode", "segment", "voronoi_pattern"]
+__all__ = ["cut", "cuts_of", "encode", "segment", "voronoi_pattern"]

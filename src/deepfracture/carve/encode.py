@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.types import BadInput, FracturePattern, Volume
+from deepfracture.types import BadInput, FracturePattern, Labels, Volume
 
 
-def encode(pattern: FracturePattern, surface_distance: ArrayLike) -> Volume:
-    """The GS-SDF of a pattern (paper, eq. 4).
+def encode(pattern: FracturePattern, surface_distance: ArrayLike, *, cuts: bool = True) -> Volume:
+    """The GS-SDF of a pattern (paper, eq. 4), and the faces between voxels that its cracks cut.
 
     Inside, the distance to the nearest boundary of any fragment, so the smaller of the distances to
     the cracks and to the surface; outside, minus the distance to the original surface. Where the
@@ -19,6 +19,7 @@ def encode(pattern: FracturePattern, surface_distance: ArrayLike) -> Volume:
         pattern: Labels and crack distances [m].
         surface_distance: Signed distance of the voxel centres to the original surface [m], positive
             inside, shape (r, r, r).
+        cuts: Without them the volume is the paper's, and `segment` has to guess from the distances.
 
     Raises:
         BadInput: The distance has another shape than the pattern, or is not finite.
@@ -27,4 +28,15 @@ def encode(pattern: FracturePattern, surface_distance: ArrayLike) -> Volume:
     if surface.shape != pattern.grid.shape:
         raise BadInput(f"surface_distance must have shape {pattern.grid.shape}, got {surface.shape}")
     inside = (surface > 0) & (pattern.labels > 0)
-    return Volume(pattern.grid, np.where(inside, np.minimum(pattern.distance, surface), surface))
+    values = np.where(inside, np.minimum(pattern.distance, surface), surface)
+    return Volume(pattern.grid, values, cuts_of(pattern.labels) if cuts else None)
+
+
+def cuts_of(labels: Labels) -> NDArray[np.uint8]:
+    """Bits 1, 2, 4 where two labels meet at the face towards the next voxel along x, y, z; 0 is no label."""
+    cuts = np.zeros(labels.shape, np.uint8)
+    for axis in range(3):
+        ahead, beyond = (np.moveaxis(labels, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
+        parted = (ahead != beyond) & (ahead > 0) & (beyond > 0)
+        np.moveaxis(cuts, axis, 0)[:-1] |= (parted << axis).astype(np.uint8)
+    return cuts

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 from numba import njit
 
+from deepfracture.carve.join import joined, root
 from deepfracture.types import BadInput, FracturePattern, Volume
 
 CAGE = 0.03
@@ -19,6 +20,9 @@ SURE = 10.0
 
 def segment(volume: Volume, *, tolerance: float = 0.5, min_voxels: int = 8) -> FracturePattern:
     """Caged segmentation of a GS-SDF into fragments.
+
+    Where the cuts are known, what they part is parted and what they do not is not (`join`), whatever the values.
+    Otherwise the values have to tell:
 
     Voxels are flooded from the highest value down. A peak starts a region; where two regions meet, at
     the pass between them, the one with the lower peak joins the other if it is shallow - its peak rises
@@ -48,6 +52,9 @@ def segment(volume: Volume, *, tolerance: float = 0.5, min_voxels: int = 8) -> F
         raise BadInput(f"tolerance must lie in [0, 1), got {tolerance}")
     if min_voxels < 0:
         raise BadInput(f"min_voxels must be zero or more, got {min_voxels}")
+    if volume.cuts is not None:
+        labels = joined(volume.values > 0, volume.cuts, min_voxels)
+        return FracturePattern(volume.grid, labels, np.maximum(volume.values, 0))
     heights = np.pad(volume.values / np.float32(volume.grid.spacing), 1, constant_values=-np.inf)
     flat = heights.reshape(-1)
     order = _descending(flat, -CAGE / volume.grid.spacing)
@@ -93,14 +100,6 @@ def _descending(heights: np.ndarray, lowest: float) -> np.ndarray:
     return order
 
 
-@njit(cache=True, inline="always")
-def _root(parent: np.ndarray, region: int) -> int:
-    while parent[region] != region:
-        parent[region] = parent[parent[region]]
-        region = parent[region]
-    return region
-
-
 @njit(cache=True)
 def _flood(
     heights: np.ndarray,
@@ -124,13 +123,13 @@ def _flood(
             count += 1
             parent[count], peak[count] = count, heights[v]
             region = count
-        region = _root(parent, region)
+        region = root(parent, region)
         labels[v] = region
         size[region] += heights[v] > 0
         for n in range(6):
             if labels[v + steps[n]] == 0:
                 continue
-            other = _root(parent, int(labels[v + steps[n]]))
+            other = root(parent, int(labels[v + steps[n]]))
             if other == region:
                 continue
             low, high = (region, other) if peak[region] < peak[other] else (other, region)
@@ -167,7 +166,7 @@ def _rename(heights: np.ndarray, order: np.ndarray, parent: np.ndarray, labels: 
     name = np.zeros(count + 1, np.int32)
     names = 0
     for v in order:
-        region = _root(parent, int(labels[v]))
+        region = root(parent, int(labels[v]))
         if heights[v] <= 0:
             labels[v] = 0
             continue

@@ -50,7 +50,7 @@ def _model(path: Path) -> list[str]:
 
     model = load_model(path)
     lines = [
-        f"{path}: model of {model.shape_name} at r = {model.body.grid.resolution}, {len(model.codebook)} codes, "
+        f"{path}: model of {model.shape_name} at r = {model.body.grid.resolution}, {len(model.choice.rows)} codes, "
         f"{path.stat().st_size / 1e6:.1f} MB",
         f"  trained by {model.about.get('command', 'an unknown command')}, loss {model.about.get('loss', 'unknown')}",
     ]

@@ -54,13 +54,13 @@ def shatter(
 
     Args:
         shape: a mesh file, or a built-in shape.
-        breaker: learned, physical, voronoi or nearest.
+        breaker: learned, physical, voronoi, nearest, cvd or random.
         out: folder for the page, the .glb, the fragments, the film and report.json.
         material: a whole-material preset.
         throw: how the ball is thrown.
         scene: replay this scene file instead of throwing a ball.
         model: trained weights instead of the shipped ones.
-        dataset: simulated patterns that --breaker nearest recalls.
+        dataset: simulated patterns that --breaker nearest and random recall.
         resolution: voxels along each axis for physical and voronoi.
         engine: rapier or bullet.
         seed: the same seed gives the same bytes.
@@ -87,6 +87,7 @@ def simulate(
     scene: str = "single",
     refracture: int = 0,
     frames: int = 60,
+    repeats: int = 1,
     workers: int = 2,
     seed: int = 0,
     repair: bool = False,
@@ -104,6 +105,7 @@ def simulate(
             shear (beside the edge of a block).
         refracture: generations of fragments that may break again when they meet each other or the ball ...
         frames: ... within this many frames after the hit, at 60 a second.
+        repeats: times that each collision is simulated, with other weak places in the material (for evaluate).
         workers: processes.
         seed: the same seed gives the same bytes, however many workers.
         repair: mend a mesh that is not closed.
@@ -112,7 +114,7 @@ def simulate(
 
     run(
         shape, out=out, collisions=collisions, material=material, resolution=resolution, speed=speed,
-        scene=scene, refracture=refracture, frames=frames, workers=workers, seed=seed, repair=repair,
+        scene=scene, refracture=refracture, frames=frames, repeats=repeats, workers=workers, seed=seed, repair=repair,
     )  # fmt: skip
 
 
@@ -121,6 +123,9 @@ def train(
     dataset: Annotated[Positional[Path], tyro.conf.arg(metavar="DATASET")],
     /,
     out: Path,
+    preset: str = "waves",
+    width: float = 1.0,
+    features: int = 1,
     epochs: int | None = None,
     minutes: float | None = None,
     device: str = "auto",
@@ -131,14 +136,47 @@ def train(
     Args:
         dataset: folder made by `deepfracture simulate`.
         out: run folder; the finished weights are model.safetensors in it.
-        epochs: passes over the data (default: 400).
+        preset: waves (ours), or a network that predicts the distance field itself: paper, mlp or pix2pix.
+        width: channels of those networks, relative to their publications'.
+        features: strongest impulses of a collision that the model sees, 1 or 2.
+        epochs: passes over the data (default: 400 for waves, the paper's 1000 for the others).
         minutes: train for this long instead.
         device: auto, cpu, cuda or mps.
         seed: of the initial weights and the order of samples.
     """
     from .learning import train as run
 
-    run(dataset, out=out, epochs=epochs, minutes=minutes, device=device, seed=seed)
+    run(
+        dataset, out=out, preset=preset, width=width, features=features, epochs=epochs, minutes=minutes,
+        device=device, seed=seed,
+    )  # fmt: skip
+
+
+@app.command
+def evaluate(
+    held: Annotated[Positional[Path], tyro.conf.arg(metavar="HELD")],
+    /,
+    out: Path,
+    dataset: Path | None = None,
+    model: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    breakers: tuple[str, ...] = ("nearest", "random", "cvd", "voronoi"),
+    draws: int = 3,
+    seed: int = 0,
+) -> None:
+    """Measure breakers and models on collisions that they have never seen, in units of chaos itself.
+
+    Args:
+        held: data set of held-out collisions, made by `deepfracture simulate --repeats 4` with a seed of its own.
+        out: folder for evaluation.md, evaluation.json and plots.
+        dataset: training data, which nearest and random recall and from which cvd learns the number of fragments.
+        model: trained weights, or NAME=FILE; may be given several times.
+        breakers: any of learned (the shipped model), physical, voronoi, nearest, cvd and random.
+        draws: random codes for each collision.
+        seed: the same seed gives the same numbers.
+    """
+    from .evaluate import evaluate as run
+
+    run(held, dataset=dataset, model=model, breakers=breakers, out=out, draws=draws, seed=seed)
 
 
 @app.command

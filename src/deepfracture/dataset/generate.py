@@ -42,8 +42,9 @@ class Outcome:
     """None: nothing broke."""
 
 
-Collide: TypeAlias = Callable[[np.random.Generator], Outcome]
-"""One random collision, a function of the generator alone."""
+Collide: TypeAlias = Callable[[np.random.Generator, np.random.Generator | None], Outcome]
+"""One random collision, a function of the generators alone: the first draws the scene, the second, or what the
+scene has left of the first, the material."""
 
 
 def simulate_collisions(
@@ -59,6 +60,7 @@ def simulate_collisions(
     scene: str = "single",
     refracture: int = 0,
     frames: int = 60,
+    repeats: int = 1,
     prepare: Callable[[Settings], Collide] | None = None,
 ) -> Dataset:
     """Simulate collisions 0 .. `collisions` - 1 that the folder `out` does not hold yet.
@@ -73,6 +75,8 @@ def simulate_collisions(
         scene: Kind of scene, one of `world.KINDS`.
         refracture: Generations of fragments that may break again ...
         frames: ... within so many frames, at 60 a second, after the hit.
+        repeats: Times that each collision is simulated: the same ball and the same impact, another draw of the
+            material's weak places. The first repeats are the collisions of a data set without repeats.
         prepare: What makes the collision of the settings, once in every worker; by default a ball in
             the rigid-body world and the fracture simulator.
 
@@ -90,13 +94,15 @@ def simulate_collisions(
         raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}")
     if refracture < 0 or frames < 1:
         raise BadInput(f"refracture must be 0 or more and frames at least 1, got {refracture} and {frames}")
+    if repeats < 1:
+        raise BadInput(f"repeats must be at least 1, got {repeats}")
     speeds = (float(slow), float(fast))
     # Without re-fracture nothing happens after the hit: then the frames are no part of the settings.
-    again = (refracture, frames if refracture else 0)
+    again = (refracture, frames if refracture else 0, repeats)
     settings = Settings(shape, material, Grid(resolution).resolution, seed, speeds, scene, *again)
     out = Path(out)
     create(out, settings)
-    missing = sorted(set(range(collisions)) - done(out))
+    missing = sorted(set(range(collisions * repeats)) - done(out))
     if missing:
         _run(out, settings, prepare or physical_collisions, missing, min(workers, len(missing)))
     return open_dataset(out)
@@ -111,11 +117,12 @@ def physical_collisions(settings: Settings) -> Collide:
     shape, material = settings.shape, settings.material
     body = prepare_body(shape, material, Grid(settings.resolution))
 
-    def collide(rng: np.random.Generator) -> Outcome:
+    def collide(rng: np.random.Generator, material_rng: np.random.Generator | None = None) -> Outcome:
         scene = draw_scene(
             settings.scene, shape, rng, material=material.name, speed=settings.speed_range, seed=settings.seed
         )
         impact = joint_impact(scene, shape, materials={material.name: material})
+        rng = material_rng or rng
         cracking = None if impact is None else simulate(body, impact, rng)
         if cracking is None:
             return Outcome(impact, None)
@@ -175,17 +182,19 @@ def _start(out: Path, settings: Settings, prepare: Callable[[Settings], Collide]
     _worker = (out, settings, prepare(settings))
 
 
-def _collide(k: int) -> None:
+def _collide(entry: int) -> None:
     assert _worker is not None
     out, settings, collide = _worker
+    k, repeat = divmod(entry, settings.repeats)
     seed = collision_seed(settings.seed, k)
+    again = np.random.default_rng([seed, repeat]) if repeat else None
     try:
-        outcome = collide(np.random.default_rng(seed))
+        outcome = collide(np.random.default_rng(seed), again)
     except (NoSolution, BadInput) as problem:  # of this one collision: the others need not suffer
-        log.warning("%s: collision %d passed over: %s", out, k, problem)
-        write_failed(out, k, str(problem), seed)
+        log.warning("%s: collision %d passed over: %s", out, entry, problem)
+        write_failed(out, entry, str(problem), seed)
         return
     if outcome.impact is None or outcome.pattern is None:
-        write_unbroken(out, k, outcome.impact, seed)
+        write_unbroken(out, entry, outcome.impact, seed)
     else:
-        write_sample(out, k, Sample(outcome.impact, outcome.pattern, seed))
+        write_sample(out, entry, Sample(outcome.impact, outcome.pattern, seed))

@@ -3,6 +3,7 @@
     dataset.json        what was simulated: shape, material, kind of scene, resolution, speeds, seed
     shape/              zarr group: vertices, faces
     samples/000012/     zarr group: labels, distance; its attributes hold the impact and the seed
+                        (with repeats R, entry k R + i is repeat i of collision k)
     unbroken/000013.json    a collision that broke nothing
     failed/000014.json      one that could not be simulated, and why
 
@@ -28,8 +29,8 @@ from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material
 
 FORMAT = 2
 """Of the manifest."""
-SINCE_FORMAT_2 = {"scene": "single", "refracture": 0, "frames": 0}
-"""What format 1 does not say, and what its data sets are."""
+UNSAID = {"scene": "single", "refracture": 0, "frames": 0, "repeats": 1}
+"""What older manifests do not say, and what their data sets are."""
 MANIFEST = "dataset.json"
 KINDS = ("samples", "unbroken", "failed")
 """What can become of a collision: a folder each."""
@@ -62,6 +63,8 @@ class Settings:
     """Generations of fragments that may break again."""
     frames: int = 0
     """Frames after the hit in which they may, at 60 a second."""
+    repeats: int = 1
+    """Times that each collision is simulated, the weak places of the material elsewhere each time."""
 
     def manifest(self) -> dict[str, Any]:
         return {
@@ -79,6 +82,7 @@ class Settings:
             "scene": self.scene,
             "refracture": self.refracture,
             "frames": self.frames,
+            "repeats": self.repeats,
         }
 
 
@@ -114,8 +118,15 @@ class Dataset:
 
     @property
     def tried(self) -> int:
-        """Collisions thrown, whatever became of them."""
+        """Collisions simulated, each repeat for itself, whatever became of them."""
         return len(self) + self.unbroken + self.failed
+
+    def collisions(self) -> list[tuple[int, ...]]:
+        """Samples of the same collision together: indices into this data set, collision by collision."""
+        found: dict[int, list[int]] = {}
+        for index, name in enumerate(self.names):
+            found.setdefault(int(name) // self.settings.repeats, []).append(index)
+        return [tuple(indices) for indices in found.values()]
 
     def impacts(self) -> list[Impact]:
         """The impact of every sample, without reading the patterns."""
@@ -239,8 +250,7 @@ def _settings(path: Path, manifest: dict[str, Any]) -> Settings:
 
     if manifest["format"] not in (1, FORMAT):
         raise ValueError(f"format {manifest['format']}, this program reads 1 and {FORMAT}")
-    if manifest["format"] == 1:
-        manifest = manifest | SINCE_FORMAT_2
+    manifest = UNSAID | manifest
     group = zarr.open_group(path / "shape", mode="r")
     mesh = Mesh(np.asarray(group["vertices"]), np.asarray(group["faces"]))
     about = manifest["shape"]
@@ -251,7 +261,7 @@ def _settings(path: Path, manifest: dict[str, Any]) -> Settings:
     resolution, seed = Grid(manifest["resolution"]).resolution, int(manifest["seed"])
     material = Material(**manifest["material"])
     speed_range = (float(slow), float(fast))
-    again = int(manifest["refracture"]), int(manifest["frames"])
+    again = int(manifest["refracture"]), int(manifest["frames"]), int(manifest["repeats"])
     return Settings(shape, material, resolution, seed, speed_range, str(manifest["scene"]), *again)
 
 

@@ -5,9 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfracture.learn.metrics import variation_of_information
 from deepfracture.learn.normaliser import Normaliser, normalise_impact
-from deepfracture.learn.prediction import Model, embedded_model, load_model, predict
+from deepfracture.learn.prediction import (
+    AS_PUBLISHED,
+    OURS,
+    Model,
+    Way,
+    embedded_model,
+    load_model,
+    predict,
+    predictions,
+)
 from deepfracture.learn.settings import Config
 
 if TYPE_CHECKING:
@@ -15,15 +23,18 @@ if TYPE_CHECKING:
     from deepfracture.learn.report import Card
 
 __all__ = [
+    "AS_PUBLISHED",
+    "OURS",
     "Config",
     "Model",
     "Normaliser",
+    "Way",
     "embedded_model",
     "load_model",
     "normalise_impact",
     "predict",
+    "predictions",
     "train",
-    "variation_of_information",
 ]
 
 

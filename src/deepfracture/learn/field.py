@@ -6,45 +6,56 @@ Outside and towards the surface nothing is predicted: the shape's own distance i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.types import Floats, Floats32, Grid, Ints, Volume
+from deepfracture.carve import cuts_of
+from deepfracture.learn.lattice import Lattice
+from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 
 CRUMB = 30 / 64**3
 """Pieces below this share of the grid are noise of the network and join their surroundings."""
-ROUNDS = 1
-"""Times the distance is swept through the body in all eight directions."""
+FAR = 1e6
+"""Distance [voxels] to the crack before any is known."""
+NEAREST = 1e-3
+"""Least distance [voxels] to a crack: the sign of a GS-SDF says what is inside."""
+SLACK = 1.0
+"""Voxels by which crack distances are followed beyond the distance to the surface, which takes over there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The voxels inside a shape, as a padded grid whose border is outside."""
+    """The voxels inside a shape, and the lattice that functions over it are read from."""
 
     grid: Grid
     surface: Floats32
     """Signed distance to the shape's surface [m], + inside, shape (r, r, r)."""
-    voxels: tuple[Ints, Ints, Ints]
-    """Indices of the voxels inside, shape (n,) each."""
-    flat: Ints
-    """The same in the flattened padded grid."""
-    slot: NDArray[np.int32]
-    """Number of the voxel in `flat`, or -1 outside, shape ((r + 2)^3,)."""
-    sweeps: tuple[Ints, Ints, Ints, Ints]
-    """`flat` in the order of four diagonal directions."""
+    runs: NDArray[np.int32]
+    """Voxels inside that follow each other along the last axis: i, j, first k, end k, shape (n, 4)."""
+    planes: Ints
+    """First run of each i, and the end, shape (r + 1,)."""
+    lattice: Lattice
 
     @staticmethod
     def of(grid: Grid, surface: Floats32) -> Body:
-        i, j, k = np.nonzero(surface > 0)
-        side = grid.resolution + 2
-        flat = ((i + 1) * side + j + 1) * side + k + 1
-        slot = np.full(side**3, -1, np.int32)
-        slot[flat] = np.arange(len(flat))
-        signs = ((1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1))
-        first, second, third, fourth = (flat[np.lexsort((c * k, b * j, a * i))] for a, b, c in signs)
-        return Body(grid, surface, (i, j, k), flat, slot, (first, second, third, fourth))
+        surface = np.ascontiguousarray(surface, np.float32)
+        runs = _runs(surface)
+        planes = np.searchsorted(runs[:, 0], np.arange(grid.resolution + 1))
+        return Body(grid, surface, runs, planes, Lattice.of(grid, surface))
+
+    @property
+    def nodes(self) -> Floats:
+        """Where `volume_of` needs the scores [m], shape (m, 3)."""
+        return self.lattice.nodes
+
+    @cached_property
+    def voxels(self) -> tuple[Ints, Ints, Ints]:
+        """Indices of the voxels inside, shape (n,) each."""
+        i, j, k = np.nonzero(self.surface > 0)
+        return i, j, k
 
     @property
     def points(self) -> Floats:
@@ -53,104 +64,335 @@ class Body:
 
 
 def volume_of(body: Body, scores: Floats32) -> Volume:
-    """The GS-SDF of channel scores at the voxels inside.
+    """The GS-SDF of channel scores.
 
     Args:
-        scores: A voxel belongs to the channel of the highest score, shape (n, channels).
+        scores: Coefficients at `body.nodes` of the splines whose greatest a voxel belongs to, shape
+            (m, channels). For smooth functions these are nearly, and for linear ones exactly, their values
+            there; for waves they are the values times `Lattice.gain`.
+
+    Raises:
+        BadInput: There is not one row of scores for each node.
     """
-    side = body.grid.resolution + 2
-    channel = np.full(side**3, -1, np.int16)
-    channel[body.flat] = scores.argmax(axis=1)
-    _sweep_crumbs(channel, body.flat, side, max(2, round(CRUMB * body.grid.resolution**3)))
-    distance = _at_cracks(channel, scores, body.flat, body.slot, side)
-    for _ in range(ROUNDS):
-        for order in body.sweeps:
-            _sweep(distance, order, side)
-            _sweep(distance, order[::-1], side)
-    values = body.surface.copy()
-    values[body.voxels] = np.minimum(values[body.voxels], distance[body.flat] * body.grid.spacing)
-    return Volume(body.grid, values)
+    if scores.ndim != 2 or len(scores) != len(body.nodes):
+        raise BadInput(f"scores must have shape ({len(body.nodes)}, channels), got {scores.shape}")
+    scores = np.ascontiguousarray(scores, np.float32)
+    r, lattice = body.grid.resolution, body.lattice
+    channel = np.full((r + 2, r + 2, r + 2), -1, np.int16)
+    _divide(scores, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, channel)
+    _sweep_crumbs(channel, body.runs, max(2, round(CRUMB * r**3)), scores.shape[1])
+    distance = np.full(channel.shape, np.float32(FAR))
+    _at_cracks(channel, scores, body.runs, lattice.number, lattice.cell, lattice.weights, distance)
+    _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes)
+    values = _nearer(body.surface, distance, body.runs, np.float32(body.grid.spacing))
+    return Volume(body.grid, values, cuts_of(channel[1:-1, 1:-1, 1:-1] + 1))
 
 
 @njit(cache=True)
-def _sweep_crumbs(channel, flat, side, smallest):
-    """Give connected pieces of fewer than `smallest` voxels to the channel that surrounds them most."""
-    steps = (1, -1, side, -side, side * side, -side * side)
-    seen = np.zeros(len(channel), np.bool_)
-    stack = np.empty(len(flat), np.int64)
-    votes = np.zeros(channel.max() + 1, np.int64)
-    for start in flat:
-        if seen[start]:
+def _runs(surface):
+    n0, n1, n2 = surface.shape
+    runs = np.empty((n0 * n1 * ((n2 + 1) // 2), 4), np.int32)
+    count = 0
+    for i in range(n0):
+        for j in range(n1):
+            inside = False
+            for k in range(n2):
+                if (surface[i, j, k] > 0) != inside:
+                    inside = not inside
+                    if inside:
+                        runs[count, 0], runs[count, 1], runs[count, 2] = i, j, k
+                    else:
+                        runs[count, 3] = k
+                        count += 1
+            if inside:
+                runs[count, 3] = n2
+                count += 1
+    return runs[:count].copy()
+
+
+@njit(cache=True)
+def _divide(scores, cells, number, start, weights, surface, channel):
+    """Give each voxel inside to the channel of the greatest spline.
+
+    A spline lies between the least and the greatest of the coefficients that it depends on. So a channel
+    whose coefficients are all below those of another has no voxel of the cell; mostly one is left."""
+    ahead = np.empty(scores.shape[1], np.float32)
+    rivals = np.empty(scores.shape[1], np.int16)
+    near = np.empty((3, 3, 3), np.float32)
+    widest = np.diff(start).max()
+    best = np.empty((widest, widest, widest), np.float32)
+    for n in range(len(cells)):
+        cell = cells[n, 0], cells[n, 1], cells[n, 2]
+        low = start[cell[0]], start[cell[1]], start[cell[2]]
+        high = start[cell[0] + 1], start[cell[1] + 1], start[cell[2] + 1]
+        count = _rivals(scores, number, cell, ahead, rivals)
+        for x in range(low[0], high[0]):
+            for y in range(low[1], high[1]):
+                for z in range(low[2], high[2]):
+                    if surface[x, y, z] > 0:
+                        channel[x + 1, y + 1, z + 1] = rivals[0]
+        if count == 1:
             continue
-        mine, size, next_ = channel[start], 1, 0
-        stack[0] = start
-        seen[start] = True
-        votes[:] = 0
-        while next_ < size:
-            voxel = stack[next_]
-            next_ += 1
-            for step in steps:
-                beside = voxel + step
-                if channel[beside] == mine:
-                    if not seen[beside]:
-                        seen[beside] = True
-                        stack[size] = beside
-                        size += 1
-                elif channel[beside] >= 0:
-                    votes[channel[beside]] += 1
-        if size < smallest and votes.max() > 0:
-            winner = votes.argmax()
-            for n in range(size):
-                channel[stack[n]] = winner
+        best[:] = -np.inf
+        for m in range(count):
+            for a in range(3):
+                for b in range(3):
+                    for c in range(3):
+                        near[a, b, c] = scores[number[cell[0] + a, cell[1] + b, cell[2] + c], rivals[m]]
+            _raise(near, rivals[m], weights, low, high, best, surface, channel)
 
 
 @njit(cache=True)
-def _at_cracks(channel, scores, flat, slot, side):
-    """Distance to the crack [voxels] for voxels beside one, large elsewhere.
+def _rivals(scores, number, cell, ahead, rivals):
+    """Channels that can be the greatest somewhere in the cell, in `rivals`; returns how many."""
+    channels = scores.shape[1]
+    middle = scores[number[cell[0] + 1, cell[1] + 1, cell[2] + 1]]
+    leader = 0
+    for m in range(1, channels):
+        if middle[m] > middle[leader]:
+            leader = m
+    ahead[:] = -np.inf
+    for a in range(3):
+        for b in range(3):
+            for c in range(3):
+                row = scores[number[cell[0] + a, cell[1] + b, cell[2] + c]]
+                bar = row[leader]
+                for m in range(channels):
+                    over = row[m] - bar
+                    ahead[m] = over if over > ahead[m] else ahead[m]
+    rivals[0] = leader
+    count = 1
+    for m in range(channels):
+        if ahead[m] > 0 and m != leader:
+            rivals[count] = m
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def _raise(near, rival, weights, low, high, best, surface, channel):
+    """Give the voxels of a cell where the spline of `rival` is above `best` to it, an axis at a time."""
+    plane = np.empty((3, 3), np.float32)
+    for x in range(low[0], high[0]):
+        for b in range(3):
+            for c in range(3):
+                plane[b, c] = (
+                    weights[x, 0] * near[0, b, c] + weights[x, 1] * near[1, b, c] + weights[x, 2] * near[2, b, c]
+                )
+        for y in range(low[1], high[1]):
+            u, v, w = weights[y, 0], weights[y, 1], weights[y, 2]
+            first = u * plane[0, 0] + v * plane[1, 0] + w * plane[2, 0]
+            second = u * plane[0, 1] + v * plane[1, 1] + w * plane[2, 1]
+            third = u * plane[0, 2] + v * plane[1, 2] + w * plane[2, 2]
+            for z in range(low[2], high[2]):
+                value = weights[z, 0] * first + weights[z, 1] * second + weights[z, 2] * third
+                if value > best[x - low[0], y - low[1], z - low[2]]:
+                    best[x - low[0], y - low[1], z - low[2]] = value
+                    if surface[x, y, z] > 0:
+                        channel[x + 1, y + 1, z + 1] = rival
+
+
+@njit(cache=True)
+def _sweep_crumbs(channel, runs, smallest, channels):
+    """Give connected pieces of fewer than `smallest` voxels to the channel that surrounds them most."""
+    parts, piece = _pieces(channel, runs)
+    size = np.zeros(len(parts), np.int64)
+    last = np.arange(len(parts))
+    after = np.full(len(parts), -1)
+    for n in range(len(parts)):
+        first = _first(piece, n)
+        size[first] += parts[n, 3] - parts[n, 2]
+        if n != first:
+            after[last[first]] = n
+            last[first] = n
+    votes = np.empty(channels, np.int64)
+    for first in range(len(parts)):
+        if piece[first] != first or size[first] >= smallest:
+            continue
+        votes[:] = 0
+        n = first
+        while n >= 0:
+            _vote(channel, parts[n], votes)
+            n = after[n]
+        if votes.max() > 0:
+            n = first
+            while n >= 0:
+                channel[parts[n, 0], parts[n, 1], parts[n, 2] : parts[n, 3]] = votes.argmax()
+                n = after[n]
+
+
+@njit(cache=True)
+def _vote(channel, part, votes):
+    """Count the other channels beside a run of one."""
+    i, j = part[0], part[1]
+    mine = channel[i, j, part[2]]
+    for k in range(part[2], part[3]):
+        for other in (
+            channel[i - 1, j, k],
+            channel[i + 1, j, k],
+            channel[i, j - 1, k],
+            channel[i, j + 1, k],
+            channel[i, j, k - 1],
+            channel[i, j, k + 1],
+        ):
+            if other >= 0 and other != mine:
+                votes[other] += 1
+
+
+@njit(cache=True)
+def _pieces(channel, runs):
+    """Runs of one channel (i, j, first k, end k in the padded grid), shape (n, 4), and for each an earlier
+    one that it hangs together with across faces, or itself, shape (n,)."""
+    parts = np.empty((np.sum(runs[:, 3] - runs[:, 2]), 4), np.int32)
+    piece = np.empty(len(parts), np.int32)
+    side = channel.shape[1]
+    start = np.zeros(side * side + 1, np.int32)  # of each line, in `parts`
+    line = count = 0
+    for n in range(len(runs)):
+        i, j = runs[n, 0] + 1, runs[n, 1] + 1
+        while line < i * side + j:
+            line += 1
+            start[line] = count
+        k, end = runs[n, 2] + 1, runs[n, 3] + 1
+        while k < end:
+            stop = k + 1
+            while stop < end and channel[i, j, stop] == channel[i, j, k]:
+                stop += 1
+            parts[count] = i, j, k, stop
+            piece[count] = count
+            for other in (line - 1, line - side):
+                for m in range(start[other], start[other + 1]):
+                    if parts[m, 2] >= stop:
+                        break
+                    if parts[m, 3] > k and channel[parts[m, 0], parts[m, 1], parts[m, 2]] == channel[i, j, k]:
+                        a, b = _first(piece, m), _first(piece, count)
+                        piece[max(a, b)] = min(a, b)
+            count += 1
+            k = stop
+    return parts[:count], piece[:count]
+
+
+@njit(cache=True, inline="always")
+def _first(piece, n):
+    while piece[n] != n:
+        piece[n] = piece[piece[n]]
+        n = piece[n]
+    return n
+
+
+@njit(cache=True)
+def _at_cracks(channel, scores, runs, number, cell, weights, distance):
+    """Distance to the crack [voxels] for voxels beside one.
 
     Along an edge the crack lies where the two channels are equal, linearly; crossings t along the axes
     are those of a plane at the distance (sum of 1 / t^2)^(-1/2)."""
-    steps = (1, side, side * side)
-    distance = np.full(len(channel), np.float32(1e6))
-    for voxel in flat:
-        mine = channel[voxel]
-        here = slot[voxel]
-        total = 0.0
-        for step in steps:
-            nearest = np.inf
-            for beside in (voxel - step, voxel + step):
-                other = channel[beside]
-                if other < 0 or other == mine:
-                    continue
-                there = slot[beside]
-                a = max(scores[here, mine] - scores[here, other], np.float32(0.0))
-                b = max(scores[there, other] - scores[there, mine], np.float32(0.0))
-                crossing = a / (a + b) if a + b > 0 else 0.5
-                nearest = min(nearest, max(crossing, 1e-3))
-            if nearest < np.inf:
-                total += 1 / nearest**2
-        if total > 0:
-            distance[voxel] = 1 / np.sqrt(total)
-    return distance
+    for n in range(len(runs)):
+        i, j = runs[n, 0], runs[n, 1]
+        for k in range(runs[n, 2], runs[n, 3]):
+            mine = channel[i + 1, j + 1, k + 1]
+            alike = channel[i + 1, j + 1, k] == mine and channel[i + 1, j + 1, k + 2] == mine
+            alike = alike and channel[i + 1, j, k + 1] == mine and channel[i + 1, j + 2, k + 1] == mine
+            if alike and channel[i, j + 1, k + 1] == mine and channel[i + 2, j + 1, k + 1] == mine:
+                continue
+            total = np.float32(0.0)
+            known, ahead = mine, np.float32(0.0)
+            for axis in range(3):
+                nearest = np.float32(2.0)
+                for step in (-1, 1):
+                    x, y, z = i + step * (axis == 0), j + step * (axis == 1), k + step * (axis == 2)
+                    other = channel[x + 1, y + 1, z + 1]
+                    if other < 0 or other == mine:
+                        continue
+                    if other != known:
+                        known, ahead = other, _ahead(scores, number, cell, weights, mine, other, i, j, k)
+                    behind = _ahead(scores, number, cell, weights, other, mine, x, y, z)
+                    crossing = ahead / (ahead + behind) if ahead + behind > 0 else np.float32(0.5)
+                    nearest = min(nearest, max(crossing, np.float32(NEAREST)))
+                if nearest < 2:
+                    total += 1 / (nearest * nearest)
+            if total > 0:
+                distance[i + 1, j + 1, k + 1] = 1 / np.sqrt(total)
 
 
 @njit(cache=True)
-def _sweep(distance, order, side):
-    """One pass of the eikonal equation |grad d| = 1 (Zhao 2005, fast sweeping), unit spacing."""
-    for voxel in order:
-        a = min(distance[voxel - 1], distance[voxel + 1])
-        b = min(distance[voxel - side], distance[voxel + side])
-        c = min(distance[voxel - side * side], distance[voxel + side * side])
-        a, b = min(a, b), max(a, b)
-        if c < a:
-            a, b, c = c, a, b
-        elif c < b:
-            b, c = c, b
-        best = a + 1
-        if best > b:
-            best = 0.5 * (a + b + np.sqrt(2 - (a - b) ** 2))
-            if best > c:
-                mean = (a + b + c) / 3
-                best = mean + np.sqrt(max(0.0, (1 - (a * a + b * b + c * c)) / 3 + mean * mean))
-        if best < distance[voxel]:
-            distance[voxel] = best
+def _ahead(scores, number, cell, weights, mine, other, i, j, k):
+    """By how much channel `mine` is above `other` at voxel (i, j, k), 0 if it is not."""
+    value = np.float32(0.0)
+    for a in range(3):
+        for b in range(3):
+            line = np.float32(0.0)
+            for c in range(3):
+                node = number[cell[i] + a, cell[j] + b, cell[k] + c]
+                line += weights[k, c] * (scores[node, mine] - scores[node, other])
+            value += weights[i, a] * weights[j, b] * line
+    return max(value, np.float32(0.0))
+
+
+@njit(cache=True)
+def _sweep(distance, surface, spacing, runs, planes):
+    """Solve the eikonal equation |grad d| = 1 from the voxels known (Zhao 2005, fast sweeping), unit spacing.
+
+    Voxels nearer to the surface than to any crack by SLACK are left out: the shortest way from a crack to
+    a voxel that needs its distance leads through none of them."""
+    side = np.int64(surface.shape[0] + 2)
+    last = len(planes) - 2
+    inverse = np.float32(1.0) / spacing
+    changed = np.zeros(side * side, np.int64)  # when each line did, counted in runs
+    swept = np.full(len(runs), -1)
+    clock = 0
+    for turn in range(4):
+        for layer in range(last + 1):
+            i = layer if turn % 2 == 0 else last - layer
+            for m in range(planes[i], planes[i + 1]):
+                n = m if turn in (0, 3) else planes[i] + planes[i + 1] - 1 - m
+                j, first, end = np.int64(runs[n, 1]), np.int64(runs[n, 2]), np.int64(runs[n, 3])
+                line = (i + 1) * side + j + 1
+                newest = max(changed[line - 1], changed[line], changed[line + 1])
+                if max(newest, changed[line - side], changed[line + side]) < swept[n]:
+                    continue
+                clock += 1
+                swept[n] = clock
+                start = line * side + 1
+                moved = False
+                for k in range(first, end):
+                    moved |= _update(distance, start + k, side, surface[i, j, k] * inverse)
+                for k in range(end - 1, first - 1, -1):
+                    moved |= _update(distance, start + k, side, surface[i, j, k] * inverse)
+                if moved:
+                    changed[line] = clock
+
+
+@njit(cache=True, inline="always")
+def _update(distance, voxel, side, surface):
+    a = min(distance[voxel - 1], distance[voxel + 1])
+    b = min(distance[voxel - side], distance[voxel + side])
+    c = min(distance[voxel - side * side], distance[voxel + side * side])
+    here = distance[voxel]
+    low = min(a, b, c)
+    if low >= here or low > surface + np.float32(SLACK):
+        return False
+    high = max(a, b, c)
+    middle = max(min(a, b), min(max(a, b), c))
+    best = low + np.float32(1.0)
+    if best > middle:
+        best = np.float32(0.5) * (low + middle + np.sqrt(np.float32(2.0) - (low - middle) ** 2))
+        if best > high:
+            third = np.float32(1 / 3)
+            mean = (low + middle + high) * third
+            spread = (np.float32(1.0) - (low * low + middle * middle + high * high)) * third + mean * mean
+            best = mean + np.sqrt(max(np.float32(0.0), spread))
+    if best < here:
+        distance[voxel] = best
+        return True
+    return False
+
+
+@njit(cache=True)
+def _nearer(surface, distance, runs, spacing):
+    """The smaller of the distances to surface and crack [m] inside, that to the surface outside."""
+    values = surface.copy()
+    for n in range(len(runs)):
+        i, j = runs[n, 0], runs[n, 1]
+        for k in range(runs[n, 2], runs[n, 3]):
+            values[i, j, k] = min(surface[i, j, k], distance[i + 1, j + 1, k + 1] * spacing)
+    return values

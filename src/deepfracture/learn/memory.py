@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfracture.carve import encode, segment
+from deepfracture.compare import variation_of_information
 from deepfracture.learn.field import Body
-from deepfracture.learn.metrics import variation_of_information
 from deepfracture.learn.prediction import Model
 from deepfracture.types import Floats32, FracturePattern, Volume
 

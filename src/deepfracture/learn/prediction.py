@@ -1,26 +1,32 @@
-"""Inference: impulse and random code to the nearest code known, and that to a GS-SDF. Needs no torch."""
+"""Inference: impulse and random code to a code of the embedding space, and that to a GS-SDF. Needs no torch."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deepfracture.learn import network
+from deepfracture.learn import fit, network
 from deepfracture.learn.checkpoint import check, pack_distance, read, unpack_distance, write
-from deepfracture.learn.codebook import quantise
+from deepfracture.learn.choice import VARIETY, Choice, Similarity
+from deepfracture.learn.codebook import nearest_first
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.settings import Config
-from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
+from deepfracture.types import BadInput, Floats, Floats32, Grid, Impact, Shape, Volume
 
-FORMAT = 1
+FORMAT = 2
 KIND = "model"
-SAME_SURFACE = 0.5
-"""Voxels by which distances to the surface of one shape may differ: another tessellation, stored precision."""
+REACH = 0.3
+"""Distance [m] outside up to which the surface's distance matters: `segment` and `fits` look no farther."""
+AROUND = 0.5
+"""Least standard deviation [m] of what moves with the hit."""
+STILL = 1e-3
+"""Nodes that move less [m] stay."""
 SHIPPED = Path(__file__).parent / "models"
 
 
@@ -34,8 +40,8 @@ class Model:
     body: Body
     weights: dict[str, Floats32]
     """See `network.shapes`."""
-    codebook: Floats32
-    """Latent codes of the training patterns, impulse then segment, shape (n, code_size)."""
+    choice: Choice
+    """The training patterns: which of them answers an impact."""
     about: dict[str, Any]
     """How it was trained: command, seed, loss, counts."""
 
@@ -44,33 +50,117 @@ class Model:
         return self.weights["head.bias"].size // self.config.basis
 
     @cached_property
+    def codebook(self) -> Floats32:
+        """The embedding space: latent codes of the training patterns, impulse then segment, shape (n, code_size)."""
+        impulse = network.encode_impulses(self.weights, self.choice.rows, np)
+        return np.concatenate([impulse, self.choice.segment], axis=1)
+
+    @cached_property
     def waves(self) -> Floats32:
-        """The basis at every voxel inside, shape (voxels, basis)."""
-        return network.basis(self.weights, self.body.points.astype(np.float32), np)
+        """The basis at the nodes of the body's lattice, as coefficients of splines, shape (nodes, basis)."""
+        gain = self.body.lattice.gain(self.weights["waves.vector"])
+        return network.basis(self.weights, self.body.nodes.astype(np.float32), np) * gain.astype(np.float32)
+
+    def at(self, shape: Shape, resolution: int) -> Model:
+        """The same model for GS-SDFs of another resolution: what it has learned are functions of the place.
+
+        Args:
+            shape: The shape that it was trained on, for the distance to the surface; outside it is exact up
+                to REACH and no larger than that, which saves most of the time.
+        """
+        from deepfracture.geometry import signed_distance_lattice
+
+        grid = Grid(resolution)
+        surface = signed_distance_lattice(shape.mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape, outside=REACH)
+        return replace(self, body=Body.of(grid, surface))
 
     def fits(self, shape: Shape) -> bool:
-        """Whether `shape` is the one that the model was trained on, however it is tessellated: the
-        distances to its surface are those that the model stores."""
-        from deepfracture.geometry import signed_distance_points
+        """Whether `shape` is the one that the model was trained on, however it is tessellated."""
+        return fit.fits(self.body, shape)
 
-        grid = self.body.grid
-        voxels = np.argwhere(np.abs(self.body.surface) < 4 * grid.spacing)[:: max(1, self.body.surface.size // 10**5)]
-        known = self.body.surface[tuple(voxels.T)]
-        found = signed_distance_points(shape.mesh, grid.to_world(voxels))
-        return bool(np.percentile(np.abs(found - known), 99) < SAME_SURFACE * grid.spacing)
-
-    def decode(self, code: Floats32) -> Volume:
+    def decode(self, code: Floats32, moved: Moved | None = None) -> Volume:
         """The GS-SDF of one latent code, shape (code_size,)."""
-        return volume_of(self.body, self.waves @ network.compose(self.weights, code[None], np)[0])
+        waves = self.waves if moved is None else self._moved_waves(moved)
+        return volume_of(self.body, waves @ network.compose(self.weights, code[None], np)[0])
+
+    def _moved_waves(self, moved: Moved) -> Floats32:
+        """The waves as they are when the field has been moved: only where it has."""
+        nodes = self.body.nodes
+        there = moved(nodes)
+        far = np.abs(there - nodes).max(axis=1) > STILL
+        gain = self.body.lattice.gain(self.weights["waves.vector"]).astype(np.float32)
+        waves = self.waves.copy()
+        waves[far] = network.basis(self.weights, there[far].astype(np.float32), np) * gain
+        return waves
 
 
-def predict(model: Model, impact: Impact, rng: np.random.Generator) -> Volume:
-    """A fracture pattern under `impact` (paper, section 4.2.7): `rng` draws Z_random, so that the same impact
-    can break the shape in several ways."""
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A field whose hit is drawn to another place, and what is around it less and less."""
+
+    origin: Floats
+    """Where it was hit [m], shape (3,)."""
+    hit: Floats
+    """Where it shall be [m]."""
+
+    def __call__(self, points: Floats) -> Floats:
+        """Where to read the field for what belongs at `points` [m], shape (n, 3)."""
+        step = self.hit - self.origin
+        # Twice the step at least, so that nothing is folded: the slope of the Gaussian stays below 0.31.
+        reach = max(AROUND, 2 * float(np.linalg.norm(step)))
+        near = np.exp(-0.5 * ((points - self.hit) ** 2).sum(axis=1) / reach**2)
+        return points - near[:, None] * step
+
+
+@dataclass(frozen=True)
+class Way:
+    """How a code is found and decoded; `OURS` is the best that we know, `AS_PUBLISHED` the paper's."""
+
+    rule: str = "typical"
+    """typical: see `choice`. nearest: the code nearest to [impulse, random]. free: that code itself."""
+    random: bool = True
+    """Whether Z_random takes part; else zeros, and with `nearest` the impulse alone is compared."""
+    move: bool = True
+    """Whether the pattern is drawn to where the shape is hit."""
+    variety: float = VARIETY
+    """See `Choice`; smaller makes draws differ more."""
+
+    def __post_init__(self) -> None:
+        if self.rule not in RULES or not self.variety > 0:
+            raise BadInput(
+                f"rule must be one of {', '.join(RULES)} and variety positive, got {self.rule}, {self.variety}"
+            )
+
+
+RULES = ("typical", "nearest", "free")
+OURS = Way()
+AS_PUBLISHED = Way(rule="nearest", move=False)
+"""Section 4.2.7 of the paper."""
+
+
+def predict(model: Model, impact: Impact, rng: np.random.Generator, way: Way = OURS) -> Volume:
+    """A fracture pattern under `impact`: `rng` draws Z_random, so that one impact can break the shape in several
+    ways (paper, section 4.2.7)."""
+    return next(predictions(model, impact, rng, way))
+
+
+def predictions(model: Model, impact: Impact, rng: np.random.Generator, way: Way = OURS) -> Iterator[Volume]:
+    """The answer of `predict`, and what to fall back on when it does not serve: the next codes in order."""
     rows = model.normaliser(impact).astype(np.float32)
+    random = rng.standard_normal(model.config.segment_size, np.float32) * np.float32(way.random)
     impulse = network.encode_impulses(model.weights, rows[None], np)[0]
-    random = rng.standard_normal(model.config.segment_size, np.float32)
-    return model.decode(model.codebook[quantise(model.codebook, np.concatenate([impulse, random]))])
+    code = np.concatenate([impulse, random])
+    if way.rule == "free":
+        yield model.decode(code)
+        return
+    if way.rule == "typical":
+        order = model.choice(rows, random, variety=way.variety)
+    else:
+        compared = slice(None) if way.random else slice(len(impulse))
+        order = nearest_first(model.codebook[:, compared], code[compared])
+    for index in order:
+        origin = model.choice.rows[index, 0, :3].astype(float)
+        yield model.decode(model.codebook[index], Moved(origin, rows[0, :3].astype(float)) if way.move else None)
 
 
 def save_model(path: Path, model: Model) -> None:
@@ -84,14 +174,12 @@ def save_model(path: Path, model: Model) -> None:
         "config": asdict(model.config),
         "channels": model.channels,
         "max_impulse": model.normaliser.max_impulse,
+        "similarity": asdict(model.choice.similarity),
         "about": model.about,
     }
-    write(
-        path,
-        KIND,
-        {**arrays, "codebook": model.codebook, "surface": pack_distance(model.body.surface, grid)},
-        facts,
-    )
+    choice = model.choice
+    codes = {"rows": choice.rows, "segment": choice.segment, "apart": choice.apart.astype(np.float16)}
+    write(path, KIND, {**arrays, **codes, "surface": pack_distance(model.body.surface, grid)}, facts)
 
 
 def load_model(path: Path | str) -> Model:
@@ -109,21 +197,16 @@ def load_model(path: Path | str) -> Model:
         normaliser = Normaliser(float(facts["max_impulse"]), config.features)
         name, channels, about = str(facts["shape"]), int(facts["channels"]), dict(facts["about"])
         surface = unpack_distance(arrays["surface"], grid)
+        similarity = Similarity(**facts["similarity"])
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(f"{path}: not a model of deepfracture, or damaged ({error}); train it again") from error
     sizes = network.shapes(config, channels)
-    codes = len(arrays.get("codebook", ()))
-    check(path, arrays, {**sizes, "codebook": (max(codes, 1), config.code_size)})
+    n = max(len(arrays.get("rows", ())), 1)
+    codes = {"rows": (n, config.features, 7), "segment": (n, config.segment_size), "apart": (n, n)}
+    check(path, arrays, {**sizes, **codes})
     weights = {key: arrays[key].astype(np.float32) for key in sizes}
-    return Model(
-        name,
-        config,
-        normaliser,
-        Body.of(grid, surface),
-        weights,
-        arrays["codebook"].astype(np.float32),
-        about,
-    )
+    choice = Choice(*(arrays[key].astype(np.float32) for key in codes), similarity)
+    return Model(name, config, normaliser, Body.of(grid, surface), weights, choice, about)
 
 
 def embedded_model(shape_name: str) -> Path | None:

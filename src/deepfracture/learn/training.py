@@ -20,10 +20,12 @@ from typing import Any
 import numpy as np
 import torch  # noqa: TID253  (this module is imported by `learn.train` alone)
 
+from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import network
 from deepfracture.learn.checkpoint import read, write
+from deepfracture.learn.choice import Choice, fit, mean_distance
 from deepfracture.learn.field import Body
 from deepfracture.learn.memory import Probe, Recall, recall
 from deepfracture.learn.normaliser import Normaliser
@@ -32,7 +34,7 @@ from deepfracture.learn.report import Card, Point, card_text, write_card, write_
 from deepfracture.learn.settings import Config
 from deepfracture.learn.targets import anchors, target_of
 from deepfracture.progress import log, stage, track
-from deepfracture.types import BadInput, Floats32, Grid
+from deepfracture.types import BadInput, Grid
 
 KIND = "training checkpoint"
 PROBES = 10
@@ -171,8 +173,8 @@ class _Lesson:
     dataset: Dataset
     body: Body
     normaliser: Normaliser
-    impulses: Floats32
-    """Shape (n, features, 7)."""
+    choice: Choice
+    """The impulses, shape (n, features, 7), and how alike what they did is; segment codes are not learnt yet."""
     targets: dict[str, np.ndarray]
     """Fields of `Target`, shape (n, voxels) each."""
     channels: int
@@ -186,10 +188,11 @@ class _Lesson:
         body = Body.of(grid, signed_distance(dataset.shape.mesh, grid))
         normaliser = Normaliser(dataset.max_impulse, config.features)
         watched = {int(i) for i in np.linspace(0, len(dataset) - 1, PROBES)}
-        impulses, probes, patterns = [], [], []
+        impulses, probes, patterns, traits, somewhere = [], [], [], [], dataset[0].impact
         for index, sample in enumerate(dataset):
             impulses.append(normaliser(sample.impact))
             patterns.append(sample.pattern)
+            traits.append(traits_of(sample.pattern, somewhere))  # only differences between patterns matter
             if index in watched:
                 probes.append(Probe.of(index, sample.pattern, body))
         channels = min(config.channels, max(pattern.count for pattern in patterns))
@@ -201,7 +204,9 @@ class _Lesson:
             name: np.stack([getattr(target, name) for target in taught])
             for name in ("channel", "next", "share", "weight")
         }
-        return _Lesson(dataset, body, normaliser, np.stack(impulses).astype(np.float32), targets, channels, probes)
+        rows, apart = np.stack(impulses).astype(np.float32), mean_distance(traits)
+        choice = Choice(rows, np.zeros((len(rows), config.segment_size), np.float32), apart, fit(rows, apart))
+        return _Lesson(dataset, body, normaliser, choice, targets, channels, probes)
 
 
 class _Run:
@@ -211,9 +216,9 @@ class _Run:
         self.lesson, self.config, self.seed, self.device = lesson, config, seed, device
         rng = np.random.default_rng(seed)
         drawn = network.draw_weights(config, lesson.channels, rng)
-        count = len(lesson.impulses)
-        segment = rng.standard_normal((count, config.segment_size), np.float32)
-        self.impulse = self._put(network.encode_impulses(drawn, lesson.impulses, np).astype(np.float32))
+        rows = lesson.choice.rows
+        segment = rng.standard_normal((len(rows), config.segment_size), np.float32)
+        self.impulse = self._put(network.encode_impulses(drawn, rows, np).astype(np.float32))
         self.weights = {name: self._put(value) for name, value in drawn.items()}
         self.weights["codes"] = self._put(segment)
         self.learned = [name for name in self.weights if name not in network.FROZEN]
@@ -269,11 +274,11 @@ class _Run:
         return loss.item()
 
     def model(self) -> Model:
-        """The model as it is now; its codebook is the paper's, every latent code of the epoch."""
+        """The model as it is now; its embedding space holds every latent code of the epoch."""
         weights = {name: value.detach().cpu().numpy().copy() for name, value in self.weights.items()}
-        codes = np.concatenate([self.impulse.cpu().numpy(), weights.pop("codes")], axis=1)
         lesson = self.lesson
-        return Model(lesson.dataset.shape.name, self.config, lesson.normaliser, lesson.body, weights, codes, {})
+        choice = replace(lesson.choice, segment=weights.pop("codes"))
+        return Model(lesson.dataset.shape.name, self.config, lesson.normaliser, lesson.body, weights, choice, {})
 
     def look(self) -> None:
         """Measure the memory and put it on the curve."""

@@ -1,0 +1,99 @@
+"""Centroidal Voronoi cells, small near the hit (the paper compares with them; Schvartzman and Otaduy 2014)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from deepfracture.carve import voronoi_pattern
+from deepfracture.fracture.separate import merge_dust
+from deepfracture.fracture.simulate import SMALLEST_CELLS
+from deepfracture.progress import stage
+from deepfracture.types import Floats, Floats32, FracturePattern, Grid, Impact, Shape
+
+from .recalled import Memory
+from .surface import Surface
+from .voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
+
+ROUNDS = 20
+"""Of Lloyd's algorithm; the cells hardly change any more."""
+SAMPLES = 8000
+"""Voxels that stand for the body in it."""
+
+
+@dataclass(frozen=True)
+class CentroidalVoronoi:
+    """Sites spread evenly by Lloyd's algorithm: half of them over the body, half around the hit."""
+
+    count: Callable[[Shape, Impact], float]
+    """Fragments that an impact should give."""
+    grid: Grid
+
+    @cached_property
+    def _surface(self) -> Surface:
+        return Surface(self.grid)
+
+    def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
+        surface = self._surface(shape)
+        with stage("centroidal voronoi"):
+            inside = self.grid.to_world(np.argwhere(surface > 0))
+            count = round(float(np.clip(self.count(shape, impact), CELLS_AT_THRESHOLD // 2, MOST_CELLS)))
+            pattern = self._cells(spread(inside, impact.position[0], count, rng), surface)
+            if pattern.count > count:  # the body's arms cut cells into several parts: so many sites too many
+                fewer = max(2, 2 * count - pattern.count)
+                pattern = self._cells(spread(inside, impact.position[0], fewer, rng), surface)
+            return pattern
+
+    def _cells(self, sites: Floats, surface: Floats32) -> FracturePattern:
+        """Voronoi cells; what the voxels part from them as dust joins a neighbour, as in the simulator."""
+        pattern = voronoi_pattern(sites, surface, self.grid)
+        smallest = min(SMALLEST_CELLS, round(SMALLEST_CELLS * (self.grid.resolution / 64) ** 3))
+        return replace(pattern, labels=merge_dust(pattern.labels, smallest))
+
+
+def fitted_count(memory: Memory) -> Callable[[Shape, Impact], float]:
+    """The mean number of fragments as a power of the strongest impulse, fitted to simulated patterns.
+
+    Least squares of the logarithms, scaled to the mean of the counts themselves (Duan 1983): the mean of the
+    logarithms alone is that of fewer fragments."""
+    impulses = np.log([impact.magnitude[0] for impact in memory.impacts])
+    slope, start = _line(impulses, np.log(memory.counts))
+    start += float(np.log(memory.counts.mean() / np.exp(start + slope * impulses).mean()))
+    return lambda shape, impact: float(np.exp(start + slope * np.log(impact.magnitude[0])))
+
+
+def spread(inside: Floats, hit: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Sites at the centres of their own cells.
+
+    Args:
+        inside: Voxel centres of the body [m], shape (n, 3).
+        hit: Where it was hit [m], shape (3,).
+        count: Sites wanted.
+
+    Returns:
+        Distinct points [m], shape (count or fewer, 3).
+    """
+    from scipy.spatial import KDTree
+
+    points = rng.permutation(inside)[:SAMPLES]
+    near = np.exp(-0.5 * (np.linalg.norm(points - hit, axis=1) / NEAR) ** 2) + 1e-12
+    wanted = 0.5 / len(points) + 0.5 * near / near.sum()
+    # In three dimensions cells of a density w are spread as w^(3/5) (Du, Faber and Gunzburger 1999, section 6).
+    weight = wanted ** (5 / 3)
+    sites = points[rng.choice(len(points), min(count, len(points)), replace=False, p=wanted / wanted.sum())]
+    for _ in range(ROUNDS):
+        owner = KDTree(sites).query(points)[1]
+        mass = np.bincount(owner, weight, len(sites))
+        sums = np.stack([np.bincount(owner, weight * points[:, k], len(sites)) for k in range(3)], axis=1)
+        sites = sums[mass > 0] / mass[mass > 0, None]
+    return np.unique(sites, axis=0)
+
+
+def _line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Slope and start of the line through points; flat if they have one x."""
+    away = x - x.mean()
+    slope = float(away @ y / (away @ away)) if away.any() else 0.0
+    return slope, float(y.mean() - slope * x.mean())

@@ -1,0 +1,58 @@
+"""`evaluate`: how good any way of breaking is on collisions that it has never seen."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from deepfracture.breakers import PatternSource, make_source, recall
+from deepfracture.dataset import Dataset, open_dataset
+from deepfracture.evaluate import evaluate as run
+from deepfracture.evaluate import refuse_overlap, write_report
+from deepfracture.evaluate.report import score_table
+from deepfracture.progress import log
+from deepfracture.types import BadInput, Grid
+
+
+def evaluate(
+    held: Path, *, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...], out: Path, draws: int,
+    seed: int,
+) -> None:  # fmt: skip
+    """Measure breakers and models on the held-out collisions in the folder `held`; tables and plots go to `out`."""
+    unseen = open_dataset(held)
+    sources = _sources(unseen, dataset, model, breakers)
+    level = log.level
+    log.setLevel(logging.WARNING)  # each stage of each call would say how long it took
+    try:
+        found = write_report(run(unseen, sources, draws=draws, seed=seed), out)
+    finally:
+        log.setLevel(level)
+    log.info("%s\n\n%s", score_table(found), out / "evaluation.md")
+
+
+def _sources(
+    held: Dataset, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...]
+) -> dict[str, PatternSource]:
+    """By the names that they get in the tables."""
+    if not len(held):
+        raise BadInput(f"{held.path}: no collision broke the shape; simulate faster balls, with --repeats 4")
+    memory = None
+    if dataset is not None:
+        memory = recall(held.shape, dataset)
+        refuse_overlap(held, memory.dataset)
+        memory.load()  # what is read later would count as the time of a prediction
+    shape, material, grid = held.shape, held.material, Grid(held.settings.resolution)
+    wanted = [(name, name, None) for name in breakers] + [(name, "learned", path) for name, path in _models(model)]
+    names = [name for name, _, _ in wanted]
+    for name in names:
+        if names.count(name) > 1:
+            raise BadInput(f"{name}: given twice; name models with --model NAME=FILE")
+    return {
+        name: make_source(kind, shape, material, grid, model=path, memory=memory) for name, kind, path in wanted
+    }  # fmt: skip
+
+
+def _models(model: tuple[str, ...]) -> list[tuple[str, Path]]:
+    """NAME=FILE, or a file that gets the name `learned`."""
+    pairs = [text.split("=", 1) if "=" in text else ("learned", text) for text in model]
+    return [(name, Path(path)) for name, path in pairs]
