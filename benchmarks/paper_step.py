@@ -17,7 +17,7 @@ import torch  # noqa: TID253  (a program, not a room)
 from deepfracture.learn.fields import preset
 from deepfracture.learn.fields.model import build, prepared
 from deepfracture.learn.fields.teaching import faster_precision
-from deepfracture.learn.fields.team import pick_device
+from deepfracture.learn.team import pick_device
 from deepfracture.progress import log, peak_mb
 
 

@@ -141,3 +141,47 @@ def test_segment_refuses_impossible_options():
         segment(Volume(GRID, BALL), tolerance=1.0)
     with pytest.raises(BadInput, match="min_voxels"):
         segment(Volume(GRID, BALL), min_voxels=-1)
+
+
+def test_what_is_encoded_with_cuts_comes_back_exactly():
+    """Slabs a voxel thick, a label in two parts, random labels: all that the flood cannot know."""
+    rng = np.random.default_rng(0)
+    inside = BALL > 0
+    i, j, k = np.indices(GRID.shape)
+    slabs = np.where(inside, i + 1, 0)
+    checks = np.where(inside, 1 + (i // 6) + 11 * (j // 6) + 121 * (k // 6), 0)
+    for labels in (slabs, checks):
+        pattern = FracturePattern(GRID, labels, rng.uniform(0, 0.1, GRID.shape))
+        found = segment(encode(pattern, BALL), min_voxels=1)
+        pairs = np.unique(np.stack([labels[inside], found.labels[inside]]), axis=1)
+        assert found.count == len(np.unique(labels[inside])) == pairs.shape[1]
+        assert (found.labels[~inside] == 0).all()
+
+
+def test_parts_of_one_label_that_a_crack_parts_are_two_fragments():
+    labels = np.where(BALL > 0, 1 + (np.abs(GRID.centres()[..., 0]) < 0.2), 0)
+    assert segment(encode(FracturePattern(GRID, labels, np.ones(GRID.shape)), BALL)).count == 3
+
+
+def test_dust_between_cuts_joins_what_it_touches_most():
+    labels = np.where(BALL > 0, 1 + (GRID.centres()[..., 0] > 0), 0)
+    labels[20:21, 30:32, 30:32] = 3
+    labels[24, 24, 24] = 4
+    labels[25, 25, 25] = 5  # two specks that touch at a corner
+    found = segment(encode(FracturePattern(GRID, labels, np.ones(GRID.shape)), BALL), min_voxels=8)
+    assert found.count == 2
+    assert len(np.unique(found.labels[:32][BALL[:32] > 0])) == 1
+
+
+def test_regions_are_numbered_in_the_order_of_their_first_voxels():
+    labels = np.where(BALL > 0, 3 - (GRID.centres()[..., 0] > 0), 0)
+    found = segment(encode(FracturePattern(GRID, labels, np.ones(GRID.shape)), BALL)).labels
+    assert found[found > 0][0] == 1 and found.max() == 2
+
+
+def test_voxels_of_a_wall_thinner_than_a_voxel_hang_together_at_their_edges():
+    labels = np.zeros(GRID.shape, np.int32)
+    diagonal = np.arange(10, 40)
+    labels[diagonal, diagonal, 30] = 1
+    surface = np.where(labels > 0, 0.01, -0.01)
+    assert segment(encode(FracturePattern(GRID, labels, np.ones(GRID.shape)), surface)).count == 1

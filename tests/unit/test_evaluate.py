@@ -385,6 +385,35 @@ def test_the_command_writes_everything(held: Dataset, train: Dataset, tmp_path: 
     assert (tmp_path / "scores.png").is_file()
 
 
+@pytest.mark.parametrize("preset", ["waves", "mlp"])
+def test_models_are_measured_without_their_parts(preset: str, held: Dataset, train: Dataset, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    width = [] if preset == "waves" else ["--width", "0.1"]
+    main(["train", str(train.path), "--out", str(tmp_path / "run"), "--preset", preset, "--epochs", "1", *width])
+    model = f"mine={tmp_path / 'run' / 'model.safetensors'}"
+    main([
+        "evaluate", str(held.path), "--dataset", str(train.path), "--model", model, "--ablation", "--draws", "1",
+        "--breakers", "nearest", "--out", str(tmp_path / "out"),
+    ])  # fmt: skip
+    parts = {
+        "waves": {"nearest code", "nearest impulse", "no quantisation", "no random code", "no network"},
+        "mlp": {"no quantisation", "no segment code"},
+    }
+    found = load_evaluation(tmp_path / "out" / "evaluation.json").sources
+    assert set(found) == {"nearest", "mine", *(f"mine, {part}" for part in parts[preset])}
+
+
+def test_more_data_and_curves(held: Dataset, train: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    from more_data import more_data
+    from quality import read_curve
+
+    text = more_data(held.path, train.path, counts=(4, 10**6), draws=1, out=tmp_path / "more").read_text()
+    assert "| 4 |" in text and f"| {len(train)} |" in text
+    with pytest.raises(BadInput, match=r"curve\.csv"):
+        read_curve(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

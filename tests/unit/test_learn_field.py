@@ -11,7 +11,6 @@ from deepfracture.learn import Config, Model, Normaliser, Way, network, predicti
 from deepfracture.learn.choice import Choice, Similarity
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.lattice import MOST_NODES, Lattice
-from deepfracture.learn.prediction import Moved
 from deepfracture.types import BadInput, Floats, Grid, Impact
 
 SITES = np.random.default_rng(0).uniform(-0.6, 0.6, (7, 3))
@@ -203,43 +202,18 @@ def test_scores_of_another_body_are_refused() -> None:
         volume_of(ball(32), np.zeros((5, 3), np.float32))
 
 
-# The hit
-
-
-def test_a_moved_field_is_the_field_around_the_new_hit() -> None:
-    """Beside the hit the pattern has moved with it, far away it stays."""
-    drawn = model(ball(64))
-    code = drawn.codebook[0]
-    step = np.array([4, 0, 0]) * drawn.body.grid.spacing
-    moved = drawn.decode(code, Moved(np.zeros(3), step))
-    plain = drawn.decode(code)
-    middle = slice(30, 34)
-    near_hit = np.abs(moved.values[34:38, middle, middle] - plain.values[middle, middle, middle])
-    assert near_hit.mean() < 0.1 * np.abs(moved.values - plain.values)[34:38, middle, middle].mean()
-
-
-def test_a_move_folds_nothing() -> None:
-    for length in (0.01, 0.3, 2.0):
-        moved = Moved(np.zeros(3), np.array([length, 0, 0]))
-        x = np.stack([np.linspace(-4, 4, 999), np.zeros(999), np.zeros(999)], axis=1)
-        assert (np.diff(moved(x)[:, 0]) > 0).all()
-
-
-def test_no_move_changes_nothing() -> None:
-    drawn = model(ball(32))
-    still = drawn.decode(drawn.codebook[0], Moved(np.ones(3), np.ones(3)))
-    assert still.values.tobytes() == drawn.decode(drawn.codebook[0]).values.tobytes()
+# The choice of a code
 
 
 def test_rules_answer_as_they_say() -> None:
     drawn = model(ball(32))
     hit = Impact([drawn.choice.rows[2, 0, :3]], [[0, 0, 1.0]], [0.5], [[0, 0, -1.0]], speed=1.0, radius=0.2)
-    answers = list(predictions(drawn, hit, np.random.default_rng(0), Way("nearest", random=False, move=False)))
+    answers = list(predictions(drawn, hit, np.random.default_rng(0), Way("nearest", random=False)))
     assert len(answers) == 4
     decoded = [drawn.decode(code).values.tobytes() for code in drawn.codebook]
     assert sorted(answer.values.tobytes() for answer in answers) == sorted(decoded)
     rng = np.random.default_rng(0)
-    free = list(predictions(drawn, hit, rng, Way("free", move=False)))
+    free = list(predictions(drawn, hit, rng, Way("free")))
     assert len(free) == 1 and free[0].values.tobytes() not in decoded
     with pytest.raises(BadInput, match="rule"):
         Way("best")

@@ -1,6 +1,6 @@
 """Breakers: physics, a network and baselines behind one seam, `(Shape, Impact, rng) -> Fragments | None`."""
 
 from .base import PatternBreaker, PatternSource
-from .choose import BREAKERS, make_breaker, make_source, recall
+from .choose import BREAKERS, make_breaker, make_source, recall, ways
 
-__all__ = ["BREAKERS", "PatternBreaker", "PatternSource", "make_breaker", "make_source", "recall"]
+__all__ = ["BREAKERS", "PatternBreaker", "PatternSource", "make_breaker", "make_source", "recall", "ways"]

@@ -12,6 +12,9 @@ from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
 from .base import PatternBreaker, PatternSource
 
 if TYPE_CHECKING:
+    from deepfracture.learn import Model
+    from deepfracture.learn.fields.model import FieldModel
+
     from .recalled import Memory
 
 BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
@@ -62,24 +65,80 @@ def make_source(
 
 
 def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSource:
-    from deepfracture.learn import embedded_model, load_model
+    from deepfracture.learn import embedded_model
+
+    path = path or embedded_model(shape.name)
+    if path is None:
+        raise BadInput(
+            f"{shape.name}: no trained model for this shape; try --breaker physical, or train one: deepfracture "
+            "simulate SHAPE --out data && deepfracture train data --out run, then use --model run/model.safetensors"
+        )
+    return next(iter(ways(shape, material, path).values()))
+
+
+def ways(shape: Shape, material: Material, path: Path, memory: Memory | None = None) -> dict[str, PatternSource]:
+    """The model in the file `path` as a source, and then what it is without one or another of its parts.
+
+    Args:
+        memory: The training patterns, for the choice without the network.
+
+    Raises:
+        BadInput: There is no model in the file, or it is of another shape."""
+    from deepfracture.learn.fields import kind_of
+
+    return (
+        _field_ways(shape, material, path)
+        if kind_of(path) == "field model"
+        else _wave_ways(shape, material, path, memory)
+    )
+
+
+def _wave_ways(shape: Shape, material: Material, path: Path, memory: Memory | None) -> dict[str, PatternSource]:
+    from deepfracture.learn import AS_PUBLISHED, OURS, Way, load_model, predictions
+
+    from .learned import Learned, Typical
+
+    model = load_model(path)
+    _check(model, shape, material, path)
+    found = {
+        "": OURS,
+        "nearest code": AS_PUBLISHED,
+        "nearest impulse": Way("nearest", random=False),
+        "no quantisation": Way("free"),
+        "no random code": Way(random=False),
+    }
+    sources: dict[str, PatternSource] = {
+        name: Learned(partial(predictions, model, way=way)) for name, way in found.items()
+    }
+    if memory is not None:
+        if len(model.choice.rows) != len(memory.dataset):
+            raise BadInput(f"{path}: trained on {len(model.choice.rows)} patterns, {memory.dataset.path} holds others")
+        sources["no network"] = Typical(model, memory)
+    return sources
+
+
+def _field_ways(shape: Shape, material: Material, path: Path) -> dict[str, PatternSource]:
+    from deepfracture.learn.fields import load_field_model
 
     from .learned import Learned
 
-    given = path is not None
-    path = path or embedded_model(shape.name)
-    model = load_model(path) if path else None
-    if model is not None and model.fits(shape):
-        taught = model.about.get("material", material.name)
-        if taught != material.name:
-            log.warning("%s: trained on %s, so its cracks are those of %s", path, taught, taught)
-        return Learned(model)
-    if given:
-        raise BadInput(f"{path}: trained on another shape ({model.shape_name if model else ''}), not on {shape.name}")
-    raise BadInput(
-        f"{shape.name}: no trained model for this shape; try --breaker physical, or train one: deepfracture simulate "
-        "SHAPE --out data && deepfracture train data --out run, then use --model run/model.safetensors"
-    )
+    model = load_field_model(path)
+    _check(model, shape, material, path)
+    found = {
+        "": model,
+        "no quantisation": model.variant(quantised=False),
+        "no segment code": model.variant(segment_code=False),
+    }
+    return {name: Learned(one.predictions) for name, one in found.items()}
+
+
+def _check(model: Model | FieldModel, shape: Shape, material: Material, path: Path) -> None:
+    """The model is of this shape; that it is of another material is worth a word."""
+    if not model.fits(shape):
+        raise BadInput(f"{path}: trained on another shape ({model.shape_name}), not on {shape.name}")
+    taught = model.about.get("material", material.name)
+    if taught != material.name:
+        log.warning("%s: trained on %s, so its cracks are those of %s", path, taught, taught)
 
 
 def recall(shape: Shape, path: Path) -> Memory:

@@ -7,6 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from deepfracture.types import BadInput, FracturePattern, Labels, Volume
 
+ON_CRACK = np.float32(1e-6)
+"""Least value inside [m]: a voxel whose centre lies on a crack is still inside."""
+
 
 def encode(pattern: FracturePattern, surface_distance: ArrayLike, *, cuts: bool = True) -> Volume:
     """The GS-SDF of a pattern (paper, eq. 4), and the faces between voxels that its cracks cut.
@@ -28,7 +31,7 @@ def encode(pattern: FracturePattern, surface_distance: ArrayLike, *, cuts: bool 
     if surface.shape != pattern.grid.shape:
         raise BadInput(f"surface_distance must have shape {pattern.grid.shape}, got {surface.shape}")
     inside = (surface > 0) & (pattern.labels > 0)
-    values = np.where(inside, np.minimum(pattern.distance, surface), surface)
+    values = np.where(inside, np.maximum(np.minimum(pattern.distance, surface), ON_CRACK), surface)
     return Volume(pattern.grid, values, cuts_of(pattern.labels) if cuts else None)
 
 

@@ -32,19 +32,15 @@ def joined(inside: np.ndarray, cuts: np.ndarray, smallest: int) -> Labels:
         inside: Shape (r, r, r).
         cuts: As in `Volume`, the same shape.
     """
-    labels = _regions(np.pad(inside, 1), np.pad(cuts, 1))
-    while (into := _destinations(labels, smallest)) is not None:
-        labels = into[labels]
-    names, first = np.unique(labels, return_index=True)
-    rank = np.zeros(labels.max() + 1, np.int32)
-    named = names > 0
-    rank[names[named][np.argsort(first[named])]] = np.arange(1, named.sum() + 1)
-    return rank[labels][1:-1, 1:-1, 1:-1]
+    labels, count = _regions(np.pad(inside, 1), np.pad(cuts, 1))
+    while (into := _destinations(labels, count, smallest)) is not None:
+        labels, count = _renamed(labels, into)
+    return labels[1:-1, 1:-1, 1:-1]
 
 
 @njit(cache=True)
 def _regions(inside, cuts):
-    """Face-connected regions 1..n, across uncut faces; the border must not be inside."""
+    """Face-connected regions 1..n, across uncut faces, and n; the border must not be inside."""
     m = inside.shape[0]
     flat, bits = inside.reshape(-1), cuts.reshape(-1)
     parent = np.zeros(flat.size, np.int32)
@@ -75,12 +71,39 @@ def _regions(inside, cuts):
             name[region] = names
         else:
             name[region] = name[root(parent, region)]
-    return name[labels].reshape(inside.shape)
+    for here in range(flat.size):
+        labels[here] = name[labels[here]]
+    return labels.reshape(inside.shape), names
 
 
-def _destinations(labels: Labels, smallest: int) -> Labels | None:
+@njit(cache=True)
+def _renamed(labels, into):
+    """Regions that have gone `into` others, by new names 1..n, and n."""
+    name = np.zeros(len(into), np.int32)
+    renamed = np.zeros(labels.shape, np.int32)
+    names = 0
+    for here in range(labels.size):
+        region = into[labels.flat[here]]
+        if region == 0:
+            continue
+        if name[region] == 0:
+            names += 1
+            name[region] = names
+        renamed.flat[here] = name[region]
+    return renamed, names
+
+
+@njit(cache=True)
+def _sizes(labels, count):
+    sizes = np.zeros(count + 1, np.int64)
+    for here in range(labels.size):
+        sizes[labels.flat[here]] += 1
+    return sizes
+
+
+def _destinations(labels: Labels, count: int, smallest: int) -> Labels | None:
     """Where each region goes, itself or a neighbour; None if all are large enough or touch no other."""
-    sizes = np.bincount(labels.ravel())
+    sizes = _sizes(labels, count)
     sizes[0] = smallest
     small = sizes < smallest
     if not small.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from deepfracture.breakers import PatternSource, make_source, recall
+from deepfracture.breakers import PatternSource, make_source, recall, ways
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import evaluate as run
 from deepfracture.evaluate import refuse_overlap, write_report
@@ -15,12 +15,12 @@ from deepfracture.types import BadInput, Grid
 
 
 def evaluate(
-    held: Path, *, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...], out: Path, draws: int,
-    seed: int,
+    held: Path, *, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...], ablation: bool, out: Path,
+    draws: int, seed: int,
 ) -> None:  # fmt: skip
     """Measure breakers and models on the held-out collisions in the folder `held`; tables and plots go to `out`."""
     unseen = open_dataset(held)
-    sources = _sources(unseen, dataset, model, breakers)
+    sources = _sources(unseen, dataset, model, breakers, ablation=ablation)
     level = log.level
     log.setLevel(logging.WARNING)  # each stage of each call would say how long it took
     try:
@@ -31,7 +31,7 @@ def evaluate(
 
 
 def _sources(
-    held: Dataset, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...]
+    held: Dataset, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...], *, ablation: bool
 ) -> dict[str, PatternSource]:
     """By the names that they get in the tables."""
     if not len(held):
@@ -42,14 +42,17 @@ def _sources(
         refuse_overlap(held, memory.dataset)
         memory.load()  # what is read later would count as the time of a prediction
     shape, material, grid = held.shape, held.material, Grid(held.settings.resolution)
-    wanted = [(name, name, None) for name in breakers] + [(name, "learned", path) for name, path in _models(model)]
-    names = [name for name, _, _ in wanted]
+    models = _models(model)
+    names = [*breakers, *(name for name, _ in models)]
     for name in names:
         if names.count(name) > 1:
             raise BadInput(f"{name}: given twice; name models with --model NAME=FILE")
-    return {
-        name: make_source(kind, shape, material, grid, model=path, memory=memory) for name, kind, path in wanted
-    }  # fmt: skip
+    sources = {name: make_source(name, shape, material, grid, memory=memory) for name in breakers}
+    for name, path in models:
+        parts = ways(shape, material, path, memory if ablation else None)
+        for part, source in parts.items() if ablation else [("", parts[""])]:
+            sources[f"{name}, {part}" if part else name] = source
+    return sources
 
 
 def _models(model: tuple[str, ...]) -> list[tuple[str, Path]]:

@@ -47,10 +47,16 @@ def _dataset(path: Path) -> list[str]:
 
 def _model(path: Path) -> list[str]:
     from deepfracture.learn import load_model
+    from deepfracture.learn.fields import kind_of, load_field_model
 
-    model = load_model(path)
+    if kind_of(path) == "field model":
+        model = load_field_model(path, device="cpu")
+        kind, codes = f"{model.config.preset} model", len(model.codebook)
+    else:
+        model = load_model(path)
+        kind, codes = "model", len(model.choice.rows)
     lines = [
-        f"{path}: model of {model.shape_name} at r = {model.body.grid.resolution}, {len(model.choice.rows)} codes, "
+        f"{path}: {kind} of {model.shape_name} at r = {model.body.grid.resolution}, {codes} codes, "
         f"{path.stat().st_size / 1e6:.1f} MB",
         f"  trained by {model.about.get('command', 'an unknown command')}, loss {model.about.get('loss', 'unknown')}",
     ]

@@ -160,6 +160,7 @@ def evaluate(
     dataset: Path | None = None,
     model: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
     breakers: tuple[str, ...] = ("nearest", "random", "cvd", "voronoi"),
+    ablation: bool = False,
     draws: int = 3,
     seed: int = 0,
 ) -> None:
@@ -171,12 +172,13 @@ def evaluate(
         dataset: training data, which nearest and random recall and from which cvd learns the number of fragments.
         model: trained weights, or NAME=FILE; may be given several times.
         breakers: any of learned (the shipped model), physical, voronoi, nearest, cvd and random.
+        ablation: measure each model also without one or another of its parts.
         draws: random codes for each collision.
         seed: the same seed gives the same numbers.
     """
     from .evaluate import evaluate as run
 
-    run(held, dataset=dataset, model=model, breakers=breakers, out=out, draws=draws, seed=seed)
+    run(held, dataset=dataset, model=model, breakers=breakers, ablation=ablation, out=out, draws=draws, seed=seed)
 
 
 @app.command

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -178,8 +180,16 @@ _worker: tuple[Path, Settings, Collide] | None = None
 
 def _start(out: Path, settings: Settings, prepare: Callable[[Settings], Collide]) -> None:
     global _worker
+    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent: let a collision finish
     _worker = (out, settings, prepare(settings))
+
+
+def _leave_with(parent: int) -> None:
+    """End this process when the parent has been killed: nobody would collect what it does."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 def _collide(entry: int) -> None:

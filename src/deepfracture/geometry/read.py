@@ -102,7 +102,7 @@ def load_shape(path_or_name: str, *, repair: bool = False) -> Shape:
     repair: close what is open, join overlapping shells. Raises BadInput in one line."""
     text = str(path_or_name)
     path = Path(text)
-    if not text.strip() or (not path.suffix and not path.exists()):
+    if not text.strip() or (not path.suffix and not path.is_file()):
         return builtin(text)
     if not repair:
         return normalise(read_mesh(path), path.stem)

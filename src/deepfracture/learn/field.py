@@ -85,7 +85,7 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
     _at_cracks(channel, scores, body.runs, lattice.number, lattice.cell, lattice.weights, distance)
     _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes)
     values = _nearer(body.surface, distance, body.runs, np.float32(body.grid.spacing))
-    return Volume(body.grid, values, cuts_of(channel[1:-1, 1:-1, 1:-1] + 1))
+    return Volume(body.grid, values, cuts_of(channel[1:-1, 1:-1, 1:-1].astype(np.int32) + 1))
 
 
 @njit(cache=True)

@@ -5,13 +5,13 @@ A low L2 says little: it is the small ridges between fragments that decide wheth
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from deepfracture.carve import encode, segment
 from deepfracture.compare import variation_of_information
 from deepfracture.learn.field import Body
-from deepfracture.learn.prediction import Model
 from deepfracture.types import Floats32, FracturePattern, Volume
 
 
@@ -53,7 +53,13 @@ class Probe:
         return Probe(index, pattern, exact, found.count, _apart(pattern, found))
 
 
-def recall(model: Model, codes: Floats32, probes: list[Probe]) -> Recall:
+class Decoder(Protocol):
+    """A trained network."""
+
+    def decode(self, code: Floats32) -> Volume: ...
+
+
+def recall(model: Decoder, codes: Floats32, probes: list[Probe]) -> Recall:
     """Decode and segment the probes' codes."""
     counts, bits, errors = [], [], []
     for probe in probes:

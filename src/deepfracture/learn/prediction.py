@@ -17,16 +17,12 @@ from deepfracture.learn.codebook import nearest_first
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.settings import Config
-from deepfracture.types import BadInput, Floats, Floats32, Grid, Impact, Shape, Volume
+from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
 FORMAT = 2
 KIND = "model"
 REACH = 0.3
 """Distance [m] outside up to which the surface's distance matters: `segment` and `fits` look no farther."""
-AROUND = 0.5
-"""Least standard deviation [m] of what moves with the hit."""
-STILL = 1e-3
-"""Nodes that move less [m] stay."""
 SHIPPED = Path(__file__).parent / "models"
 
 
@@ -78,38 +74,9 @@ class Model:
         """Whether `shape` is the one that the model was trained on, however it is tessellated."""
         return fit.fits(self.body, shape)
 
-    def decode(self, code: Floats32, moved: Moved | None = None) -> Volume:
+    def decode(self, code: Floats32) -> Volume:
         """The GS-SDF of one latent code, shape (code_size,)."""
-        waves = self.waves if moved is None else self._moved_waves(moved)
-        return volume_of(self.body, waves @ network.compose(self.weights, code[None], np)[0])
-
-    def _moved_waves(self, moved: Moved) -> Floats32:
-        """The waves as they are when the field has been moved: only where it has."""
-        nodes = self.body.nodes
-        there = moved(nodes)
-        far = np.abs(there - nodes).max(axis=1) > STILL
-        gain = self.body.lattice.gain(self.weights["waves.vector"]).astype(np.float32)
-        waves = self.waves.copy()
-        waves[far] = network.basis(self.weights, there[far].astype(np.float32), np) * gain
-        return waves
-
-
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """A field whose hit is drawn to another place, and what is around it less and less."""
-
-    origin: Floats
-    """Where it was hit [m], shape (3,)."""
-    hit: Floats
-    """Where it shall be [m]."""
-
-    def __call__(self, points: Floats) -> Floats:
-        """Where to read the field for what belongs at `points` [m], shape (n, 3)."""
-        step = self.hit - self.origin
-        # Twice the step at least, so that nothing is folded: the slope of the Gaussian stays below 0.31.
-        reach = max(AROUND, 2 * float(np.linalg.norm(step)))
-        near = np.exp(-0.5 * ((points - self.hit) ** 2).sum(axis=1) / reach**2)
-        return points - near[:, None] * step
+        return volume_of(self.body, self.waves @ network.compose(self.weights, code[None], np)[0])
 
 
 @dataclass(frozen=True)
@@ -120,8 +87,6 @@ class Way:
     """typical: see `choice`. nearest: the code nearest to [impulse, random]. free: that code itself."""
     random: bool = True
     """Whether Z_random takes part; else zeros, and with `nearest` the impulse alone is compared."""
-    move: bool = True
-    """Whether the pattern is drawn to where the shape is hit."""
     variety: float = VARIETY
     """See `Choice`; smaller makes draws differ more."""
 
@@ -134,7 +99,7 @@ class Way:
 
 RULES = ("typical", "nearest", "free")
 OURS = Way()
-AS_PUBLISHED = Way(rule="nearest", move=False)
+AS_PUBLISHED = Way(rule="nearest")
 """Section 4.2.7 of the paper."""
 
 
@@ -159,8 +124,7 @@ def predictions(model: Model, impact: Impact, rng: np.random.Generator, way: Way
         compared = slice(None) if way.random else slice(len(impulse))
         order = nearest_first(model.codebook[:, compared], code[compared])
     for index in order:
-        origin = model.choice.rows[index, 0, :3].astype(float)
-        yield model.decode(model.codebook[index], Moved(origin, rows[0, :3].astype(float)) if way.move else None)
+        yield model.decode(model.codebook[index])
 
 
 def save_model(path: Path, model: Model) -> None:
@@ -205,7 +169,8 @@ def load_model(path: Path | str) -> Model:
     codes = {"rows": (n, config.features, 7), "segment": (n, config.segment_size), "apart": (n, n)}
     check(path, arrays, {**sizes, **codes})
     weights = {key: arrays[key].astype(np.float32) for key in sizes}
-    choice = Choice(*(arrays[key].astype(np.float32) for key in codes), similarity)
+    taught, segment, apart = (arrays[key].astype(np.float32) for key in codes)
+    choice = Choice(taught, segment, apart, similarity)
     return Model(name, config, normaliser, Body.of(grid, surface), weights, choice, about)
 
 

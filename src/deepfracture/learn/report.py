@@ -62,7 +62,7 @@ def write_curve(folder: Path, points: list[Point]) -> None:
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)
     table.writerows(point.row for point in points)
-    _replace(folder / "curve.csv", text.getvalue().encode())
+    replace_file(folder / "curve.csv", text.getvalue().encode())
 
     from matplotlib.figure import Figure
 
@@ -78,7 +78,7 @@ def write_curve(folder: Path, points: list[Point]) -> None:
     right.legend()
     image = io.BytesIO()
     figure.savefig(image, format="png", dpi=120)
-    _replace(folder / "curve.png", image.getvalue())
+    replace_file(folder / "curve.png", image.getvalue())
 
 
 def card_text(dataset: Dataset, config: Config, command: str, seed: int, size: int, last: Point, found: Recall) -> str:
@@ -110,7 +110,7 @@ def card_text(dataset: Dataset, config: Config, command: str, seed: int, size: i
     )
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     scratch = path.with_name(f".{path.name}.{os.getpid()}")
     scratch.write_bytes(content)
     os.replace(scratch, path)
@@ -118,4 +118,4 @@ def _replace(path: Path, content: bytes) -> None:
 
 def write_card(path: Path, text: str) -> None:
     """Store the card."""
-    _replace(path, text.encode())
+    replace_file(path, text.encode())

@@ -33,6 +33,7 @@ from deepfracture.learn.prediction import Model, save_model
 from deepfracture.learn.report import Card, Point, card_text, write_card, write_curve
 from deepfracture.learn.settings import Config
 from deepfracture.learn.targets import anchors, target_of
+from deepfracture.learn.team import pick_device
 from deepfracture.progress import log, stage, track
 from deepfracture.types import BadInput, Grid
 
@@ -88,13 +89,13 @@ def train(
     out.mkdir(parents=True, exist_ok=True)
     with stage("training data"):
         lesson = _Lesson.of(dataset, config)
-    run = _Run(lesson, config, seed, _device(device))
+    run = _Run(lesson, config, seed, pick_device(device))
     file = out / "checkpoint.safetensors"
     if resume and file.is_file():
         run.restore(file)
     elif file.is_file():
         file.unlink()
-    with _interrupt_later() as interrupted:
+    with interrupt_later() as interrupted:
         _train(run, budget, file, interrupted)
     model = run.model()
     found = recall(model, model.codebook, lesson.probes)
@@ -142,7 +143,7 @@ def _train(run: _Run, budget: Budget, file: Path, interrupted: threading.Event) 
 
 
 @contextmanager
-def _interrupt_later() -> Iterator[threading.Event]:
+def interrupt_later() -> Iterator[threading.Event]:
     """Turn Ctrl-C into an event, for a checkpoint between epochs, from where the run can go on exactly."""
     event = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -153,17 +154,6 @@ def _interrupt_later() -> Iterator[threading.Event]:
         yield event
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise BadInput(f"device {name!r}: not usable here ({str(error).splitlines()[0]})") from error
-    return device
 
 
 @dataclass(frozen=True, eq=False)

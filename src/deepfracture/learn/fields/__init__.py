@@ -41,7 +41,7 @@ def load_field_model(path: Path | str, *, device: str = "auto") -> FieldModel:
     if find_spec("torch") is None:
         raise BadInput(f"{path}: a field model predicts with torch, which is missing here; pip install torch")
     from deepfracture.learn.fields.model import load_field_model as load
-    from deepfracture.learn.fields.team import pick_device
+    from deepfracture.learn.team import pick_device
 
     return load(Path(path), pick_device(device))
 

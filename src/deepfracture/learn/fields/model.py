@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from torch import Tensor, nn  # noqa: TID253
 
 from deepfracture.learn import fit
 from deepfracture.learn.checkpoint import check, pack_distance, read, unpack_distance, write
-from deepfracture.learn.codebook import quantise
+from deepfracture.learn.codebook import nearest_first
 from deepfracture.learn.field import Body
 from deepfracture.learn.fields.codes import encode, siren_shapes
 from deepfracture.learn.fields.mlp import CoordinateMLP
@@ -72,16 +73,22 @@ class FieldModel:
     def predict(self, impact: Impact, rng: np.random.Generator) -> Volume:
         """A fracture pattern under `impact` (paper, section 4.2.7): `rng` draws Z_random, so that the same impact
         can break the shape in several ways."""
+        return next(self.predictions(impact, rng))
+
+    def predictions(self, impact: Impact, rng: np.random.Generator) -> Iterator[Volume]:
+        """The answer of `predict`, and what to fall back on when it does not serve: the next codes in order."""
         rows = self.normaliser(impact).astype(np.float32)
         impulse = encode(self.siren, rows[None])[0]
         random = rng.standard_normal(self.config.segment_size, np.float32)
         if not self.segment_code:
             random = np.zeros_like(random)
         code = np.concatenate([impulse, random])
-        if self.quantised:
-            compared = self.config.code_size if self.segment_code else len(impulse)
-            code = self.codebook[quantise(self.codebook[:, :compared], code[:compared])]
-        return self.decode(code)
+        if not self.quantised:
+            yield self.decode(code)
+            return
+        compared = self.config.code_size if self.segment_code else len(impulse)
+        for index in nearest_first(self.codebook[:, :compared], code[:compared]):
+            yield self.decode(self.codebook[index])
 
     def decode(self, code: Floats32, resolution: int | None = None) -> Volume:
         """The GS-SDF of one code, shape (code_size,), at any of the resolutions learned, the finest by default.

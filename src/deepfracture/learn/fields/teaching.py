@@ -12,7 +12,7 @@ from deepfracture.learn.fields.mlp import CoordinateMLP
 from deepfracture.learn.fields.model import prepared
 from deepfracture.learn.fields.pix2pix import Discriminator, Pix2Pix
 from deepfracture.learn.fields.settings import FieldConfig
-from deepfracture.learn.fields.team import Team
+from deepfracture.learn.team import Team
 
 FIELD_WEIGHT = 100.0
 """Weight of the absolute error against the discriminator's verdict (Isola et al. 2017)."""

@@ -27,10 +27,10 @@ from deepfracture.learn.fields.model import FieldModel, build, prepared, save_fi
 from deepfracture.learn.fields.report import FieldPoint, field_card, replace_file, write_field_curve
 from deepfracture.learn.fields.settings import PIX2PIX, FieldConfig
 from deepfracture.learn.fields.teaching import Teacher, faster_precision, learned, reads_points
-from deepfracture.learn.fields.team import Team, assemble, pick_device
 from deepfracture.learn.memory import Recall, recall
 from deepfracture.learn.report import Card
-from deepfracture.learn.training import KEEP_EVERY, LOOKS, Budget, _interrupt_later
+from deepfracture.learn.team import Team, assemble, pick_device
+from deepfracture.learn.training import KEEP_EVERY, LOOKS, Budget, interrupt_later
 from deepfracture.progress import log, stage, track
 from deepfracture.types import BadInput, Floats32
 
@@ -63,7 +63,7 @@ def train_field(
         run = _Run(lesson, config, seed, where, team)
         if resume and file.is_file():
             run.restore(file)
-        with _interrupt_later() as interrupted:
+        with interrupt_later() as interrupted:
             _train(run, budget, file, interrupted)
         return _finish(run, out, f"{budget} --seed {seed}")
 
@@ -192,7 +192,7 @@ class _Run:
 
     def recall(self) -> Recall:
         """What the network remembers."""
-        return recall(self.model(), self.codes(), self.lesson.probes)  # type: ignore[arg-type]  (decodes alike)
+        return recall(self.model(), self.codes(), self.lesson.probes)
 
     def look(self) -> None:
         """Measure the memory and put it on the curve."""
