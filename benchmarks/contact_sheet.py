@@ -89,7 +89,7 @@ def contact_sheet(
     for name, row in cells.items():
         if (reference / f"fracturerb_{name}.png").is_file():
             row.append((reference / f"fracturerb_{name}.png", f"{name}: FractureRB"))
-    _save(_grid(list(cells.values()), size), sheet)
+    save(grid_of(list(cells.values()), size), sheet)
     log.warning("%s: %.2f MB", sheet.name, sheet.stat().st_size / 1e6)
     return sheet
 
@@ -105,7 +105,7 @@ def _hit(
     cracking = simulate(body, hit.impact, hit.rng)
     seconds = time.perf_counter() - begin
     pieces = _whole(shape, stuff.density) if cracking is None else cut(shape, cracking.pattern, density=stuff.density)
-    exploded(pieces, picture, factor=factor, size=size, azimuth=_azimuth(hit.impact))
+    exploded(pieces, picture, factor=factor, size=size, azimuth=azimuth_of(hit.impact))
     volumes = sorted((piece.volume for piece in pieces), reverse=True)
     return {
         "shape": shape.name,
@@ -127,7 +127,7 @@ def _whole(shape: Shape, density: float) -> Fragments:
     return Fragments((Fragment(shape.mesh, source, mass.mass, mass.centre, mass.inertia),))
 
 
-def _azimuth(impact: Impact) -> float:
+def azimuth_of(impact: Impact) -> float:
     """Where to stand to see the place that was hit [degrees]."""
     x, y, _ = impact.position[0] if np.linalg.norm(impact.position[0][:2]) > 0.3 else impact.normal[0]
     return float(np.degrees(np.arctan2(y, x))) + SIDE
@@ -139,7 +139,7 @@ def _caption(about: dict[str, Any]) -> str:
     return f"{first}\n{pieces}, {about['cracks']} cracks, {about['seconds']:.1f} s"
 
 
-def _grid(rows: list[list[tuple[Path, str]]], size: tuple[int, int]) -> Image.Image:
+def grid_of(rows: list[list[tuple[Path, str]]], size: tuple[int, int]) -> Image.Image:
     from PIL import Image, ImageDraw
 
     (width, height), columns = size, max(len(row) for row in rows)
@@ -156,7 +156,7 @@ def _grid(rows: list[list[tuple[Path, str]]], size: tuple[int, int]) -> Image.Im
     return sheet
 
 
-def _save(sheet: Image.Image, path: Path) -> None:
+def save(sheet: Image.Image, path: Path) -> None:
     """A PNG below `MOST_BYTES`: with as many colours as fit."""
     with replacing(path) as temporary:
         sheet.save(temporary, format="PNG", optimize=True)

@@ -65,11 +65,11 @@ def flat_study(
     out: Path,
     *,
     resolution: int = 64,
-    train: int = 240,
+    train: int = 200,
     held: int = 40,
-    steps: int = 250,
+    steps: int = 300,
     seeds: int = 3,
-    channels: int = 16,
+    channels: int = 8,
 ) -> None:
     """Train, measure and draw: writes flat_study.json and flat_study.png.
 
@@ -131,7 +131,7 @@ def _run(
     way: str, data: Data, grid: Grid, steps: int, channels: int, rng: np.random.Generator
 ) -> tuple[list[Labels], float, dict[str, Any]]:
     """Train one representation: fragments of the held-out hits, the chosen knob, and the scores."""
-    outputs = max(plate.labels.max() for plate in data.plates + data.held) if way.startswith("labels") else 1
+    outputs = max(plate.labels.max() for plate in data.plates) if way.startswith("labels") else 1
     exact = np.stack([target(way, plate, outputs, rng) for plate in data.plates])
     predict = _trained(way, data.hits, exact, outputs, steps, channels, rng)
     remembered, images = predict(data.hits[:TUNED]), predict(data.held_hits)

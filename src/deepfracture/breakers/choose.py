@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from deepfracture.progress import log
-from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
+from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape, Volume
 
 from .base import PatternBreaker, PatternSource
 
@@ -129,7 +132,12 @@ def _field_ways(shape: Shape, material: Material, path: Path) -> dict[str, Patte
         "no quantisation": model.variant(quantised=False),
         "no segment code": model.variant(segment_code=False),
     }
-    return {name: Learned(one.predictions) for name, one in found.items()}
+    return {name: Learned(partial(_only, one)) for name, one in found.items()}
+
+
+def _only(model: FieldModel, impact: Impact, rng: np.random.Generator) -> Iterator[Volume]:
+    """As published: what the network says stands, if it is one piece too."""
+    yield model.predict(impact, rng)
 
 
 def _check(model: Model | FieldModel, shape: Shape, material: Material, path: Path) -> None:

@@ -48,9 +48,10 @@ def _sources(
         if names.count(name) > 1:
             raise BadInput(f"{name}: given twice; name models with --model NAME=FILE")
     sources = {name: make_source(name, shape, material, grid, memory=memory) for name in breakers}
-    for name, path in models:
-        parts = ways(shape, material, path, memory if ablation else None)
-        for part, source in parts.items() if ablation else [("", parts[""])]:
+    for number, (name, path) in enumerate(models):
+        dissected = ablation and number == 0
+        parts = ways(shape, material, path, memory if dissected else None)
+        for part, source in parts.items() if dissected else [("", parts[""])]:
             sources[f"{name}, {part}" if part else name] = source
     return sources
 

@@ -172,7 +172,7 @@ def evaluate(
         dataset: training data, which nearest and random recall and from which cvd learns the number of fragments.
         model: trained weights, or NAME=FILE; may be given several times.
         breakers: any of learned (the shipped model), physical, voronoi, nearest, cvd and random.
-        ablation: measure each model also without one or another of its parts.
+        ablation: measure the first model also without one or another of its parts.
         draws: random codes for each collision.
         seed: the same seed gives the same numbers.
     """
