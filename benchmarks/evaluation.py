@@ -98,17 +98,22 @@ def plot(summaries: Mapping[str, Mapping[str, Summary]], found: Mapping[str, Int
     """The score of every source on every shape, and the mean."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 4), layout="constrained")
+    figure = Figure(figsize=(9, 0.8 + 0.32 * len(found)), layout="constrained")
     axes = figure.subplots()
-    for number, name in enumerate(found):
-        bars = [found[name], *(of[name].score for of in summaries.values())]
-        value, low, high = (np.array([getattr(bar, end) for bar in bars]) for end in ("value", "low", "high"))
-        place = np.arange(len(bars)) + (number - (len(found) - 1) / 2) * 0.8 / len(found)
-        around = [np.maximum(0, value - low), np.maximum(0, high - value)]
-        axes.errorbar(place, value, yerr=around, fmt="o", ms=4, color=COLOURS[number % len(COLOURS)], label=name)
-    axes.axhline(1, color=INK, lw=1, ls="--")
-    axes.set_xticks(range(len(summaries) + 1), ["mean", *summaries])
-    axes.set(ylabel="score: distance / floor", title="1 is as near as another simulation")
+    rows = np.arange(len(found))
+    for number, (shape, of) in enumerate(summaries.items()):
+        marks = [of[name].score.value for name in found]
+        axes.plot(marks, rows, "o", ms=4, alpha=0.6, color=COLOURS[number % len(COLOURS)], label=shape)
+    for row, mean in zip(rows, found.values(), strict=True):
+        axes.plot([mean.low, mean.high], [row, row], color=INK, lw=1.5)
+        axes.plot(mean.value, row, "D", ms=6, color=INK, label="mean, 95 %" if row == 0 else None)
+    axes.axvline(1, color=INK, lw=1, ls="--")
+    axes.set_yticks(rows, list(found))
+    axes.invert_yaxis()
+    axes.set(xlabel="score: distance / floor; 1 is as near as another simulation", xscale="log")
+    ticks = [1, 1.2, 1.5, 2, 3, 4, 5]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
     axes.legend(frameon=False, fontsize=8)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110)
