@@ -65,10 +65,10 @@ def flat_study(
     out: Path,
     *,
     resolution: int = 64,
-    train: int = 200,
-    held: int = 40,
-    steps: int = 300,
-    seeds: int = 3,
+    train: int = 120,
+    held: int = 24,
+    steps: int = 150,
+    seeds: int = 2,
     channels: int = 8,
 ) -> None:
     """Train, measure and draw: writes flat_study.json and flat_study.png.
@@ -288,7 +288,8 @@ def _draw(path: Path, truth: list[Plate], hits: Floats, shown: dict[str, list[La
         names, means, halves = zip(*bars, strict=True)
         axis.barh(names, means, xerr=halves, color=["#bd5e3d"] * len(WAYS) + ["#b9c3ca"] * 2, capsize=3)
         axis.invert_yaxis()
-        axis.set(title=f"{title}, held-out hits", xlim=(0, None))
+        axis.set(xlim=(0, None))
+        axis.set_title(f"{title}, held-out hits", fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary)
 
