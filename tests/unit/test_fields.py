@@ -22,7 +22,8 @@ from deepfracture.types import BadInput, Grid, Impact, Material, Mesh, Shape
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)  # threads wait for each other longer than such small steps take
 
-from deepfracture.learn.fields import pix2pix, team, training  # noqa: E402
+from deepfracture.learn import team  # noqa: E402
+from deepfracture.learn.fields import pix2pix, training  # noqa: E402
 from deepfracture.learn.fields.lesson import squared_error  # noqa: E402
 from deepfracture.learn.fields.model import FieldModel, build, weight_count  # noqa: E402
 
