@@ -9,7 +9,7 @@ from deepfracture.carve import voronoi_pattern
 from deepfracture.compare import variation_of_information
 from deepfracture.learn import Config, Model, Normaliser, network, normalise_impact
 from deepfracture.learn.choice import Choice, Similarity
-from deepfracture.learn.codebook import quantise
+from deepfracture.learn.codebook import nearest_first
 from deepfracture.learn.field import Body
 from deepfracture.learn.targets import FADE, anchors, target_of
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact
@@ -118,7 +118,7 @@ def test_senseless_configs_are_refused(bad: dict) -> None:
 def test_the_nearest_code_is_chosen() -> None:
     codes = np.random.default_rng(0).normal(size=(20, 12)).astype(np.float32)
     for index in (0, 7, 19):
-        assert quantise(codes, codes[index] + 0.05) == index
+        assert nearest_first(codes, codes[index] + 0.05)[0] == index
 
 
 # Targets

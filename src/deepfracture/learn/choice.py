@@ -1,6 +1,6 @@
 """Which code of the embedding space answers an impact: the one of least expected distance to what could happen.
 
-The paper takes the code nearest to [impulse, random] (`codebook.quantise`). That recalls one training pattern, and one
+The paper takes the code nearest to [impulse, random] (`codebook`). That recalls one training pattern, and one
 pattern is one throw of dice: the same blow on the same shape breaks it differently each time. Here all patterns that
 similar blows gave are witnesses, weighted by a Gaussian of how similar the blow was, and each code is judged by its
 mean distance to them (minimum Bayes risk, Kumar & Byrne 2004); the most typical wins. The random code still decides:

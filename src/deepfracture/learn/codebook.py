@@ -10,8 +10,3 @@ from deepfracture.types import Floats32, Ints
 def nearest_first(codes: Floats32, wanted: Floats32) -> Ints:
     """Indices of the codes, shape (n, m), in the order of their distance to `wanted`, shape (m,)."""
     return np.argsort(((codes - wanted) ** 2).sum(axis=1), kind="stable")
-
-
-def quantise(codes: Floats32, wanted: Floats32) -> int:
-    """Index of the code nearest to `wanted`."""
-    return int(nearest_first(codes, wanted)[0])
