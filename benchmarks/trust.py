@@ -24,7 +24,7 @@ from common import DATA, ROOT, SPEEDS, kept, start, table, throw, write_json, wr
 from degenerate import DEGENERATE
 
 from deepfracture.carve import cut
-from deepfracture.carve.cells import DUST_VOXELS
+from deepfracture.carve.cut import DUST_VOXELS
 from deepfracture.dataset.generate import THREAD_VARIABLES
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import BUILTIN, faults, load_shape, signed_distance

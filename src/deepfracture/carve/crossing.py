@@ -1,0 +1,308 @@
+"""Where crack sheets cross the body's surface: points on edges, and the segments between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from deepfracture.carve.ground import Ground
+from deepfracture.carve.predicates import side
+from deepfracture.carve.sheets import Sheets
+from deepfracture.types import Floats, Ints
+
+OUTSIDE, INSIDE = 1, 2
+"""Sides of the body's surface, as labels."""
+
+
+class NotGeneral(ArithmeticError):
+    """Crack and surface are not in general position as far as rounding can tell; other jitter will do."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeNodes:
+    """The nodes on some edges, edge by edge and in order from an edge's lower vertex to its higher one."""
+
+    edges: Ints
+    """Code of each edge with a node, ascending, shape (e,)."""
+    start: Ints
+    """The first node of each edge, and their number at the end, shape (e + 1,)."""
+    nodes: Ints
+    """Shape (n,)."""
+    before: Ints
+    """What the edge is in before each node: a cell for the surface's edges, OUTSIDE or INSIDE for the sheets' ..."""
+    after: Ints
+    """... and after it, shape (n,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Straight lines from node to node, each in one triangle."""
+
+    triangle: Ints
+    """Shape (k,)."""
+    tail: Ints
+    head: Ints
+    """Nodes, shape (k,)."""
+    left: Ints
+    right: Ints
+    """Labels on both sides, seen from where the triangle turns to the left, shape (k,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """The curves in which sheets and surface meet."""
+
+    positions: Floats
+    """Of the nodes, in voxels of the box, shape (n, 3)."""
+    ends: Ints
+    """The two vertices of the edge that each node lies on, shape (n, 2); of the surface or of the sheets ..."""
+    on_surface: np.ndarray
+    """... as this says, shape (n,)."""
+    share: Floats
+    """Of the way from the first to the second, shape (n,)."""
+    on_faces: Segments
+    """In the surface's faces, between cells."""
+    on_sheets: Segments
+    """In the sheets' triangles, between OUTSIDE and INSIDE."""
+    surface_nodes: EdgeNodes
+    """On the surface's edges, by number."""
+    sheet_nodes: EdgeNodes
+    """On the sheets' edges, by `edge_code`."""
+
+
+@njit(cache=True, inline="always")
+def edge_code(one: int, two: int, count: int) -> int:
+    """One number for the edge between two of `count` vertices, whichever comes first."""
+    return min(one, two) * count + max(one, two)
+
+
+def edge_codes(triangles: Ints, count: int) -> Ints:
+    """The code of the edge from each corner of triangles to the next, shape (t, 3)."""
+    following = triangles[:, [1, 2, 0]]
+    return np.minimum(triangles, following) * count + np.maximum(triangles, following)
+
+
+def cross(ground: Ground, sheets: Sheets) -> Crossing:
+    """All crossings of sheets and surface. Raises NotGeneral if they cannot be told exactly."""
+    start, members = _members(sheets.cubes, ground.cubes, ground.touching, int(np.prod(ground.needed.shape)))
+    failed, segments = _segments(
+        ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
+        start, members,
+    )  # fmt: skip
+    if failed:
+        raise NotGeneral
+    # An end of a segment is an edge (of the surface: ~number, of the sheets: code) and a triangle of the other.
+    keys = segments[:, 2:].reshape(-1, 2)
+    order = np.lexsort(keys.T)
+    fresh = np.ones(len(keys), bool)
+    fresh[1:] = (np.diff(keys[order], axis=0) != 0).any(axis=1)
+    node = np.empty(len(keys), np.int64)
+    node[order] = np.cumsum(fresh) - 1
+    nodes = keys[order][fresh]
+    on_surface = nodes[:, 0] < 0
+    ends = np.stack(np.divmod(nodes[:, 0], len(sheets.points)), axis=1)
+    ends[on_surface] = ground.edges[~nodes[on_surface, 0]]
+    share, from_below = _shares(ground.points, ground.faces, sheets.points, sheets.triangles, nodes, ends)
+    points = np.where(on_surface[:, None, None], ground.points[ends * on_surface[:, None]],
+                      sheets.points[ends * ~on_surface[:, None]])  # fmt: skip
+    positions = points[:, 0] + share[:, None] * (points[:, 1] - points[:, 0])
+    cells = sheets.sides[nodes[on_surface, 1]].astype(np.int64)
+    cells = np.where(from_below[on_surface, None], cells, cells[:, ::-1])
+    walls = np.where(from_below[~on_surface, None], [INSIDE, OUTSIDE], [OUTSIDE, INSIDE])
+    # Where a segment runs, the cell below the sheet is on its left seen from outside the body, and the outside is
+    # on its left seen from above the sheet.
+    tail, head, (face, triangle) = node[::2], node[1::2], segments[:, :2].T
+    below, above = sheets.sides[triangle].astype(np.int64).T
+    return Crossing(
+        positions, ends, on_surface, share,
+        Segments(face, tail, head, below, above),
+        Segments(triangle, tail, head, np.full_like(below, OUTSIDE), np.full_like(below, INSIDE)),
+        _along(np.flatnonzero(on_surface), ~nodes[on_surface, 0], share, cells),
+        _along(np.flatnonzero(~on_surface), nodes[~on_surface, 0], share, walls),
+    )  # fmt: skip
+
+
+def _along(nodes: Ints, codes: Ints, share: Floats, sides: Ints) -> EdgeNodes:
+    order = np.lexsort([share[nodes], codes])
+    edges, start = np.unique(codes[order], return_index=True)
+    before, after = sides[order].T
+    same = codes[order][1:] == codes[order][:-1]
+    if (after[:-1] != before[1:])[same].any():
+        raise NotGeneral
+    return EdgeNodes(edges, np.append(start, len(nodes)), nodes[order], before.copy(), after.copy())
+
+
+@njit(cache=True)
+def _members(cubes, touched, touching, size):
+    """The faces that touch each of `cubes`: where they start, and they."""
+    number = np.zeros(size, np.int32)
+    for n in range(len(cubes)):
+        number[cubes[n]] = n + 1
+    start = np.zeros(len(cubes) + 1, np.int64)
+    for cube in touched:
+        if number[cube] > 0:
+            start[number[cube]] += 1
+    for n in range(len(cubes)):
+        start[n + 1] += start[n]
+    place = start[:-1].copy()
+    members = np.empty(start[-1], np.int64)
+    for p in range(len(touched)):
+        n = number[touched[p]] - 1
+        if n >= 0:
+            members[place[n]] = touching[p]
+            place[n] += 1
+    return start, members
+
+
+@njit(cache=True)
+def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, start, members):
+    """Rows of (face, triangle, edge and triangle of the tail, edge and triangle of the head)."""
+    segments = np.empty((256, 6), np.int64)
+    count = 0
+    seen = np.full(len(faces), -1, np.int64)
+    row = np.empty(6, np.int64)
+    s, c, box = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
+    for quad in range(len(around)):
+        _bound(sheet_points, triangles, quads[quad], quads[quad + 1], box)
+        for corner in range(4):
+            cube = around[quad, corner]
+            for m in range(start[cube], start[cube + 1]):
+                face = members[m]
+                if seen[face] == quad:
+                    continue
+                seen[face] = quad
+                if _apart(points, faces, face, box):
+                    continue
+                _copy(points, faces, face, s)
+                for triangle in range(quads[quad], quads[quad + 1]):
+                    _copy(sheet_points, triangles, triangle, c)
+                    found = _segment(s, c, row)
+                    if found < 0:
+                        return True, segments[:0]
+                    if found == 0:
+                        continue
+                    row[0], row[1] = face, triangle
+                    for end in (2, 4):
+                        n = row[end + 1]
+                        if row[end] == 0:
+                            row[end], row[end + 1] = ~edge_of[face, n], triangle
+                        else:
+                            one, two = triangles[triangle, n], triangles[triangle, (n + 1) % 3]
+                            row[end], row[end + 1] = edge_code(one, two, len(sheet_points)), face
+                    if count == len(segments):
+                        segments = np.concatenate((segments, np.empty_like(segments)))
+                    segments[count] = row
+                    count += 1
+    return False, segments[:count].copy()
+
+
+@njit(cache=True, inline="always")
+def _bound(points, triangles, first, last, box):
+    for x in range(3):
+        box[0, x], box[1, x] = np.inf, -np.inf
+    for t in range(first, last):
+        for n in range(3):
+            for x in range(3):
+                value = points[triangles[t, n], x]
+                box[0, x], box[1, x] = min(box[0, x], value), max(box[1, x], value)
+
+
+@njit(cache=True, inline="always")
+def _apart(points, triangles, t, box):
+    """Whether a triangle's box lies beside another."""
+    for x in range(3):
+        one, two, three = points[triangles[t, 0], x], points[triangles[t, 1], x], points[triangles[t, 2], x]
+        if max(one, two, three) < box[0, x] or min(one, two, three) > box[1, x]:
+            return True
+    return False
+
+
+@njit(cache=True, inline="always")
+def _copy(points, triangles, t, out):
+    for n in range(3):
+        for x in range(3):
+            out[n, x] = points[triangles[t, n], x]
+
+
+@njit(cache=True)
+def _segment(s, c, row):
+    """Where a face and a sheet's triangle meet: 1, 0 if they do not, -1 if rounding hides it. If they do,
+    row[2:4] and row[4:6] are tail and head: 0 and the side of the face, or 1 and the side of the triangle."""
+    above = (over(c, s[0]), over(c, s[1]), over(c, s[2]))
+    if above[0] == above[1] == above[2]:
+        return 0 if above[0] != 0 else -1
+    if above[0] * above[1] * above[2] == 0:
+        return -1
+    out = (over(s, c[0]), over(s, c[1]), over(s, c[2]))
+    # A face without area has no sides: only its edges are pierced.
+    flat = out[0] == 0 and out[1] == 0 and out[2] == 0
+    if not flat:
+        if out[0] * out[1] * out[2] == 0:
+            return -1
+        if out[0] == out[1] == out[2]:
+            return 0
+    tails, heads = 0, 0
+    for kind in range(2):
+        if kind == 1 and flat:
+            break
+        own, other, where = (s, c, above) if kind == 0 else (c, s, out)
+        for i in range(3):
+            j = (i + 1) % 3
+            if where[i] == where[j]:
+                continue
+            hit = pierces(own[i], own[j], other)
+            if hit < 0:
+                return -1
+            if hit:
+                # Seen from its start a segment has the side of a face's corner before it on its left, and so
+                # what is below the sheet; or the side of a triangle's corner, and so the outside.
+                at = 2 if (where[i] < 0) == (kind == 0) else 4
+                tails, heads = tails + (at == 2), heads + (at == 4)
+                row[at], row[at + 1] = kind, i
+    if tails + heads == 0:
+        return 0
+    return 1 if tails == 1 and heads == 1 else -1
+
+
+@njit(cache=True, inline="always")
+def over(t, p):
+    """Sign of the side of a triangle (3, 3) on which a point lies."""
+    return side(t[0, 0], t[0, 1], t[0, 2], t[1, 0], t[1, 1], t[1, 2], t[2, 0], t[2, 1], t[2, 2], p[0], p[1], p[2])
+
+
+@njit(cache=True)
+def pierces(a, b, t):
+    """Whether the line through a and b passes through a triangle: 1, 0, or -1 if through its rim."""
+    first = 0
+    for n in range(3):
+        m = (n + 1) % 3
+        turn = side(
+            a[0], a[1], a[2], b[0], b[1], b[2], t[n, 0], t[n, 1], t[n, 2], t[m, 0], t[m, 1], t[m, 2]
+        )  # fmt: skip
+        if turn == 0:
+            return -1
+        if n == 0:
+            first = turn
+        elif turn != first:
+            return 0
+    return 1
+
+
+@njit(cache=True)
+def _shares(points, faces, sheet_points, triangles, nodes, ends):
+    """How far along its edge each node lies, and whether the edge's first vertex is below the other's triangle."""
+    share = np.empty(len(nodes))
+    below = np.empty(len(nodes), np.bool_)
+    for n in range(len(nodes)):
+        if nodes[n, 0] < 0:
+            t, a, b = sheet_points[triangles[nodes[n, 1]]], points[ends[n, 0]], points[ends[n, 1]]
+        else:
+            t, a, b = points[faces[nodes[n, 1]]], sheet_points[ends[n, 0]], sheet_points[ends[n, 1]]
+        u, v = t[1] - t[0], t[2] - t[0]
+        normal = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+        one, two = abs(((a - t[0]) * normal).sum()), abs(((b - t[0]) * normal).sum())
+        share[n] = one / (one + two) if one + two > 0 else 0.5
+        below[n] = over(t, a) < 0
+    return share, below

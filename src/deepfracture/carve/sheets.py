@@ -1,0 +1,289 @@
+"""Crack sheets: one shared, smoothed surface between each two cells (surface nets, Gibson 1998)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from deepfracture.types import Floats, FracturePattern, Ints, Labels
+
+SMOOTHING_STEPS = 12
+TRUST = 0.5
+"""Pull of a vertex towards the crack crossings around it, against that of its neighbours."""
+REACH = 0.49
+"""A vertex stays in its own cube: it moves at most this many voxels from the middle along each axis."""
+EDGE = 0.05
+"""Crossings keep this fraction of a grid edge away from its ends."""
+JITTER = 1e-6
+"""Vertices are moved by up to this [voxels], so that no four points of crack and surface lie in one plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sheets:
+    """All sheets of a label field, in the voxels of its box. They do not cross themselves or each other: see
+    `_triangles`. They end only where labels do."""
+
+    points: Floats
+    """Shape (v, 3)."""
+    cubes: Ints
+    """Flat index of the first corner of the cube that holds each of the first vertices, shape (u,), u <= v; the
+    others lie on grid edges."""
+    triangles: Ints
+    """Counter-clockwise seen from the cell above, shape (t, 3)."""
+    sides: Labels
+    """Cells below and above each triangle, shape (t, 2)."""
+    quads: Ints
+    """The first triangle of each grid edge between two cells, and their number at the end, shape (q + 1,)."""
+    around: Ints
+    """The four cubes around that edge, as indices into `cubes`, shape (q, 4): they hold all of its triangles."""
+
+
+def crack_sheets(labels: Labels, pattern: FracturePattern, low: Ints, *, seed: int = 0) -> Sheets:
+    """The surfaces between cells.
+
+    A vertex stands in every cube that a sheet passes. It starts at the mean of the cracks' crossings of the cube's
+    edges, then relaxes along the sheet (along junction lines where three cells meet) without leaving its cube.
+
+    Args:
+        labels: Cell of each voxel, 0 where none is needed.
+        pattern: Where its distances are known, they say where cracks cross grid edges.
+        low: Grid index of the first voxel of `labels`.
+        seed: Of the jitter.
+    """
+    edges = _edges(labels)
+    around, cubes = _cubes(labels.shape, edges)
+    base = np.stack(np.unravel_index(cubes, labels.shape), axis=1)
+    middle = base + 0.5
+    points, trusted, kind = _place(labels, pattern.labels, pattern.distance, low, base)
+    links = _links(labels, around, edges, base, kind)
+    points = start = np.clip(points, middle - REACH, middle + REACH)
+    for _ in range(SMOOTHING_STEPS):
+        points = _relax(points, start, trusted, links, middle)
+    jitter = np.random.default_rng(seed).uniform(-JITTER, JITTER, (len(points) + len(edges), 3))
+    points += jitter[: len(points)]
+    points, triangles, sides, quads = _triangles(labels, points, around, edges, jitter[len(points) :])
+    return Sheets(points, cubes, triangles, sides, quads, around)
+
+
+@njit(cache=True)
+def _edges(labels):
+    """Grid edges between two cells: flat index of the first voxel and the axis, shape (q, 2)."""
+    flat = labels.reshape(-1)
+    strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
+    edges = np.empty((1024, 2), np.int64)
+    count = 0
+    for v in range(flat.size - strides[0]):
+        if flat[v] == 0:
+            continue
+        for axis in range(3):
+            other = flat[v + strides[axis]]
+            if other == flat[v] or other == 0:
+                continue
+            if count == len(edges):
+                edges = np.concatenate((edges, np.empty_like(edges)))
+            edges[count, 0], edges[count, 1] = v, axis
+            count += 1
+    return edges[:count].copy()
+
+
+@njit(cache=True)
+def _cubes(shape, edges):
+    """The four cubes around each edge, counter-clockwise seen from its second voxel, by number; all cubes."""
+    strides = (shape[1] * shape[2], shape[2], 1)
+    number = np.zeros(shape[0] * shape[1] * shape[2], np.int32)
+    around = np.empty((len(edges), 4), np.int64)
+    cubes = np.empty(4 * len(edges), np.int64)
+    count = 0
+    for n in range(len(edges)):
+        v, axis = edges[n]
+        p, q = strides[(axis + 1) % 3], strides[(axis + 2) % 3]
+        for corner in range(4):
+            cube = v - (p if corner == 0 or corner == 3 else 0) - (q if corner < 2 else 0)
+            if number[cube] == 0:
+                cubes[count] = cube
+                count += 1
+                number[cube] = count
+            around[n, corner] = number[cube] - 1
+    return around, cubes[:count].copy()
+
+
+@njit(cache=True)
+def _place(labels, source, distance, low, base):
+    """Mean crossing of each cube's edges, share of the edges whose crossing is known, number of cells."""
+    points = np.empty((len(base), 3))
+    trusted = np.zeros(len(base))
+    kind = np.zeros(len(base), np.int32)
+    near, gap, seen = np.empty(8, np.int32), np.empty(8), np.empty(8, np.int32)
+    r = distance.shape[0]
+    for v in range(len(base)):
+        for n in range(8):
+            i, j, k = base[v, 0] + (n >> 2), base[v, 1] + (n >> 1 & 1), base[v, 2] + (n & 1)
+            near[n] = labels[i, j, k]
+            i, j, k = i + low[0], j + low[1], k + low[2]
+            known = 0 <= i < r and 0 <= j < r and 0 <= k < r and source[i, j, k] > 0
+            gap[n] = distance[i, j, k] if known else 0.0
+        crossings, cracks, cells = 0, 0, 0
+        x, y, z = 0.0, 0.0, 0.0
+        for n in range(8):
+            fresh = near[n] != 0
+            for m in range(cells):
+                fresh = fresh and seen[m] != near[n]
+            if fresh:
+                seen[cells] = near[n]
+                cells += 1
+            for bit in range(3):
+                m = n | 1 << bit
+                if m == n or near[m] == near[n] or near[n] == 0 or near[m] == 0:
+                    continue
+                cracks += 1
+                if gap[n] > 0 and gap[m] > 0:
+                    crossings += 1
+                    at = min(max(gap[n] / (gap[n] + gap[m]), EDGE), 1 - EDGE)
+                    x += at if bit == 2 else n >> 2
+                    y += at if bit == 1 else n >> 1 & 1
+                    z += at if bit == 0 else n & 1
+        points[v, 0] = base[v, 0] + (x / crossings if crossings else 0.5)
+        points[v, 1] = base[v, 1] + (y / crossings if crossings else 0.5)
+        points[v, 2] = base[v, 2] + (z / crossings if crossings else 0.5)
+        trusted[v] = crossings / cracks if cracks else 0.0
+        kind[v] = cells
+    return points, trusted, kind
+
+
+@njit(cache=True)
+def _links(labels, around, edges, base, kind):
+    """The neighbours each vertex relaxes towards, -1 for none, shape (u, 6).
+
+    Only along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a junction
+    line (3) needs. Points where more meet get none."""
+    links = np.full((len(base), 6), -1, np.int32)
+    for n in range(len(edges)):
+        axis = edges[n, 1]
+        for corner in range(4):
+            one, two = around[n, corner], around[n, (corner + 1) % 4]
+            # The first pair and the third lie side by side along the next axis, the others along the one after.
+            across = (axis + 1) % 3 if corner % 2 == 0 else (axis + 2) % 3
+            if base[one, across] > base[two, across]:
+                one, two = two, one
+            cells = _cells_on_face(labels, base[two], across)
+            for v, u, side in ((one, two, 1), (two, one, 0)):
+                if (kind[v] == 2 and cells >= 2) or (kind[v] == 3 and cells >= 3):
+                    links[v, 2 * across + side] = u
+    for v in range(len(base)):
+        if kind[v] == 3 and (links[v] >= 0).sum() < 2:
+            links[v] = -1
+    return links
+
+
+@njit(cache=True, inline="always")
+def _cells_on_face(labels, corner, across):
+    """Number of cells among the four voxels of the face through `corner` across an axis."""
+    seen = np.empty(4, np.int32)
+    count = 0
+    for m in range(4):
+        i = corner[0] + (0 if across == 0 else m & 1)
+        j = corner[1] + (0 if across == 1 else m & 1 if across == 0 else m >> 1)
+        k = corner[2] + (0 if across == 2 else m >> 1)
+        fresh = labels[i, j, k] != 0
+        for s in range(count):
+            fresh = fresh and seen[s] != labels[i, j, k]
+        if fresh:
+            seen[count] = labels[i, j, k]
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def _relax(points, start, trusted, links, middle):
+    """One step of every vertex towards its neighbours' mean and its own start."""
+    moved = points.copy()
+    for v in range(len(points)):
+        count = 0
+        x, y, z = 0.0, 0.0, 0.0
+        for n in range(6):
+            u = links[v, n]
+            if u >= 0:
+                x += points[u, 0]
+                y += points[u, 1]
+                z += points[u, 2]
+                count += 1
+        if count == 0:
+            continue
+        pull = TRUST * trusted[v]
+        for a in range(3):
+            mean = (x if a == 0 else y if a == 1 else z) / count
+            goal = pull * start[v, a] + (1 - pull) * mean
+            goal = 0.5 * (points[v, a] + goal)
+            moved[v, a] = min(max(goal, middle[v, a] - REACH), middle[v, a] + REACH)
+    return moved
+
+
+@njit(cache=True)
+def _triangles(labels, points, around, edges, jitter):
+    """Two triangles across each grid edge, or four around a vertex on it.
+
+    Each vertex lies in its own cube and each edge between two vertices crosses the face between their cubes, so
+    what a sheet leaves in a cube is a fan from the vertex to curves on the cube's faces, which cannot cross - if
+    each quadrilateral keeps to the four tetrahedra of its grid edge and two neighbouring vertices (Ju and Udeshi
+    2006). Two triangles do if their diagonal does; four around a point of the grid edge always do."""
+    flat, size = labels.reshape(-1), labels.shape
+    strides = (size[1] * size[2], size[2], 1)
+    count = len(points)
+    every = np.empty((count + len(edges), 3))
+    every[:count] = points
+    triangles = np.empty((4 * len(edges), 3), np.int64)
+    sides = np.empty((4 * len(edges), 2), np.int32)
+    quads = np.empty(len(edges) + 1, np.int64)
+    made = 0
+    for n in range(len(edges)):
+        v, axis = edges[n]
+        ring = around[n]
+        quads[n] = made
+        corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
+        length = ((points[ring[0]] - points[ring[2]]) ** 2).sum() - ((points[ring[1]] - points[ring[3]]) ** 2).sum()
+        turn = 1 if length > 0 else 0
+        kept = _keeps(points, ring, corner, axis, turn)
+        if not kept:
+            turn = 1 - turn
+            kept = _keeps(points, ring, corner, axis, turn)
+        if kept:
+            for half in range(2):
+                triangles[made, 0] = ring[turn + 2 * half]
+                triangles[made, 1] = ring[(turn + 2 * half + 1) % 4]
+                triangles[made, 2] = ring[(turn + 2 * half + 2) % 4]
+                sides[made, 0], sides[made, 1] = flat[v], flat[v + strides[axis]]
+                made += 1
+            continue
+        height = 0.0
+        for c in range(4):
+            height += 0.25 * (points[ring[c], axis] - corner[axis])
+        for x in range(3):
+            every[count, x] = corner[x] + jitter[n, x]
+        every[count, axis] += min(max(height, EDGE), 1 - EDGE)
+        for c in range(4):
+            triangles[made, 0], triangles[made, 1], triangles[made, 2] = count, ring[c], ring[(c + 1) % 4]
+            sides[made, 0], sides[made, 1] = flat[v], flat[v + strides[axis]]
+            made += 1
+        count += 1
+    quads[len(edges)] = made
+    return every[:count].copy(), triangles[:made].copy(), sides[:made].copy(), quads
+
+
+@njit(cache=True, inline="always")
+def _keeps(points, ring, corner, axis, turn):
+    """Whether the diagonal from ring[turn] to ring[turn + 2] runs inside the tetrahedra of the grid edge."""
+    p, q = (axis + 1) % 3, (axis + 2) % 3
+    a, b = points[ring[turn]], points[ring[(turn + 2) % 4]]
+    ap, aq, bp, bq = a[p] - corner[p], a[q] - corner[q], b[p] - corner[p], b[q] - corner[q]
+    # The diagonal passes the grid edge on the side of one of the other two vertices, between it and the edge.
+    far = ring[(turn + 1) % 4] if ap * bq - aq * bp > 0 else ring[(turn + 3) % 4]
+    fp, fq, height = points[far, p] - corner[p], points[far, q] - corner[q], points[far, axis] - corner[axis]
+    one, two = ap * fq - aq * fp, bp * fq - bq * fp
+    if one == two:
+        return False
+    t = one / (one - two)
+    out = ((ap + t * (bp - ap)) * fp + (aq + t * (bq - aq)) * fq) / (fp * fp + fq * fq)
+    up = a[axis] + t * (b[axis] - a[axis]) - corner[axis]
+    return 0 <= t <= 1 and 0 <= out < 1 - EDGE and height * out < up < 1 - (1 - height) * out

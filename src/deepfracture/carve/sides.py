@@ -1,0 +1,154 @@
+"""Which cell each vertex of the surface lies in, and which vertices of the sheets lie inside the body."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from deepfracture.carve.crossing import INSIDE, OUTSIDE, Crossing, EdgeNodes, NotGeneral, edge_code, over, pierces
+from deepfracture.carve.ground import Ground
+from deepfracture.carve.join import root
+from deepfracture.carve.sheets import Sheets
+from deepfracture.types import Floats, Ints, Labels
+
+CORNERS = np.array([[n >> 2, n >> 1 & 1, n & 1] for n in range(8)])
+
+
+def surface_cells(ground: Ground, sheets: Sheets, crossing: Crossing, labels: Labels) -> Ints:
+    """The cell of each vertex of the surface, shape (n,).
+
+    Known where sheets cross edges, and the same along all other edges. A shell that no sheet crosses lies in one
+    cell: that of a corner of one of its cubes, as seen from the surface. Raises NotGeneral if crossings contradict
+    each other."""
+    nodes = crossing.surface_nodes
+    cut = np.zeros(len(ground.edges), np.bool_)
+    cut[nodes.edges] = True
+    group = _groups(len(ground.points), ground.edges[~cut])
+    cells = _names(group, ground.edges[nodes.edges], nodes)
+
+    def walls(cube: Ints) -> tuple[Floats, Ints]:
+        number = np.flatnonzero(sheets.cubes == np.ravel_multi_index(tuple(cube), labels.shape))
+        quads = np.flatnonzero((sheets.around == number).any(axis=1)) if len(number) else np.empty(0, np.int64)
+        around = np.concatenate([np.arange(sheets.quads[q], sheets.quads[q + 1]) for q in quads] or [quads])
+        return sheets.points[sheets.triangles[around]], sheets.sides[around].astype(np.int64)
+
+    _complete(cells, group, ground.points, labels, walls)
+    return cells[group]
+
+
+def sheet_walls(ground: Ground, sheets: Sheets, crossing: Crossing) -> Ints:
+    """OUTSIDE or INSIDE for each vertex of the sheets, shape (v,), found in the same way."""
+    nodes = crossing.sheet_nodes
+    touched = np.zeros(len(sheets.triangles), np.bool_)
+    touched[crossing.on_sheets.triangle] = True
+    group = _groups(len(sheets.points), _uncut(sheets.triangles, touched, nodes.edges, len(sheets.points)))
+    sides = _names(group, np.stack(np.divmod(nodes.edges, len(sheets.points)), axis=1), nodes)
+
+    def walls(cube: Ints) -> tuple[Floats, Ints]:
+        flat = np.ravel_multi_index(tuple(cube), ground.inside.shape)
+        faces = ground.touching[slice(*np.searchsorted(ground.cubes, [flat, flat + 1]))]
+        return ground.points[ground.faces[faces]], np.tile([INSIDE, OUTSIDE], (len(faces), 1))
+
+    _complete(sides, group, sheets.points, np.where(ground.inside, INSIDE, OUTSIDE), walls)
+    return sides[group]
+
+
+def _names(group: Ints, ends: Ints, nodes: EdgeNodes) -> Ints:
+    """The name of each group (that of a vertex whose number is the group's), 0 if no node tells it."""
+    names = np.zeros(len(group), np.int64)
+    if _tell(names, group[ends], nodes.before[nodes.start[:-1]], nodes.after[nodes.start[1:] - 1]):
+        raise NotGeneral
+    return names
+
+
+@njit(cache=True)
+def _groups(count, edges):
+    """The lowest vertex that each vertex hangs together with along edges."""
+    parent = np.arange(count)
+    for n in range(len(edges)):
+        a, b = root(parent, edges[n, 0]), root(parent, edges[n, 1])
+        if a != b:
+            parent[max(a, b)] = min(a, b)
+    for v in range(count):
+        parent[v] = parent[parent[v]]
+    return parent
+
+
+@njit(cache=True)
+def _uncut(triangles, touched, cut, count):
+    """The edges of triangles that no node lies on, shape (e, 2), most of them twice."""
+    edges = np.empty((3 * len(triangles), 2), np.int64)
+    made = 0
+    for t in range(len(triangles)):
+        for n in range(3):
+            a, b = triangles[t, n], triangles[t, (n + 1) % 3]
+            if touched[t]:
+                code = edge_code(a, b, count)
+                at = np.searchsorted(cut, code)
+                if at < len(cut) and cut[at] == code:
+                    continue
+            edges[made, 0], edges[made, 1] = a, b
+            made += 1
+    return edges[:made]
+
+
+@njit(cache=True)
+def _tell(names, groups, first, last):
+    """Name the groups at both ends of edges; whether they contradict each other."""
+    for n in range(len(groups)):
+        for group, name in ((groups[n, 0], first[n]), (groups[n, 1], last[n])):
+            if names[group] != 0 and names[group] != name:
+                return True
+            names[group] = name
+    return False
+
+
+def _complete(names: Ints, group: Ints, points: Floats, labels: Labels, walls) -> None:
+    """Name the groups that no node has named."""
+    unnamed = np.flatnonzero(names[group] == 0)
+    if not len(unnamed):
+        return
+    base = np.floor(points[unnamed]).astype(np.int64)
+    near = labels[tuple(np.moveaxis(base[:, None] + CORNERS, -1, 0))]  # (n, 8)
+    same = (near == near[:, :1]).all(axis=1)
+    for which in np.flatnonzero(same):
+        # One label at all corners of a cube says nothing about a cube that walls pass twice.
+        if names[group[unnamed[which]]] == 0 and not len(walls(base[which])[0]):
+            names[group[unnamed[which]]] = near[which, 0]
+    for v, cube, corners in zip(unnamed, base, near, strict=True):
+        if names[group[v]] == 0:
+            names[group[v]] = _seen_from(points[v], cube, corners, *walls(cube))
+
+
+def _seen_from(point: Floats, cube: Ints, corners: Ints, walls: Floats, sides: Ints) -> int:
+    """The name of the place of a point in a cube: that of a corner, or of the side of the first wall on the way."""
+    for corner, name in zip(cube + CORNERS, corners, strict=True):
+        wall, above = _first_wall(point, corner.astype(float), walls)
+        if wall >= 0:
+            return int(sides[wall, above])
+        if wall == -1:
+            return int(name)
+    raise NotGeneral
+
+
+@njit(cache=True)
+def _first_wall(a, b, walls):
+    """The wall nearest to a on the way to b and whether a lies above it; -1 for none, -2 if rounding hides it."""
+    best, nearest, which = -1, np.inf, 0
+    for n in range(len(walls)):
+        t = walls[n]
+        one, two = over(t, a), over(t, b)
+        if one == 0 or two == 0:
+            return -2, 0
+        if one == two:
+            continue
+        hit = pierces(a, b, t)
+        if hit < 0:
+            return -2, 0
+        if hit:
+            u, v = t[1] - t[0], t[2] - t[0]
+            normal = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+            way = ((t[0] - a) * normal).sum() / ((b - a) * normal).sum()
+            if way < nearest:
+                best, nearest, which = n, way, 1 if one > 0 else 0
+    return best, which
