@@ -7,17 +7,18 @@ from numba import njit
 
 from deepfracture.carve.ground import Ground
 from deepfracture.carve.parts import connected_labels
-from deepfracture.types import FracturePattern, Labels
+from deepfracture.types import FracturePattern, Ints, Labels
 
 
-def cell_labels(ground: Ground, pattern: FracturePattern) -> Labels:
-    """The pattern's labels on the voxels that the ground needs, 0 elsewhere, int32, shape of its box.
+def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]:
+    """The pattern's labels on the voxels that the ground needs, 0 elsewhere, int32, shape of its box; and the grid
+    edges between two labels: flat index of the first voxel and axis, shape (q, 2).
 
     A pattern says little near the surface (a voxel whose centre is just outside has no label), and nothing about
     thin parts that run between voxel centres: there labels grow. A part that no label reaches becomes one.
     Where two voxels of a label meet only along an edge they are parted or joined, for a cell that touches itself
     along an edge has no manifold surface."""
-    labels, empty = _on_ground(pattern.labels, ground.low, ground.needed)
+    labels, empty = _on_ground(pattern.labels, ground.voxels, ground.on_grid, ground.inside.shape)
     before = -1
     while len(empty) != before:
         before = len(empty)
@@ -26,34 +27,24 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> Labels:
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
-    _join_diagonals(labels)
-    return labels
+    edges = _edges(labels, ground.voxels)
+    return labels, _edges(labels, ground.voxels) if _join_diagonals(labels, edges) else edges
 
 
 @njit(cache=True)
-def _on_ground(source, low, needed):
-    """Labels of the needed voxels, and the flat indices of those that have none."""
-    n0, n1, n2 = needed.shape
-    r = source.shape[0]
-    labels = np.zeros(needed.shape, np.int32)
-    empty = np.empty(16, np.int64)
+def _on_ground(source, voxels, on_grid, shape):
+    """Labels of the voxels, and the flat indices of those that have none."""
+    labels = np.zeros(shape, np.int32)
+    flat, grid = labels.reshape(-1), source.reshape(-1)
+    empty = np.empty(len(voxels), np.int64)
     count = 0
-    for i in range(n0):
-        for j in range(n1):
-            x, y = i + low[0], j + low[1]
-            on_grid = 0 <= x < r and 0 <= y < r
-            for k in range(n2):
-                if not needed[i, j, k]:
-                    continue
-                z = k + low[2]
-                label = source[x, y, z] if on_grid and 0 <= z < r else 0
-                if label > 0:
-                    labels[i, j, k] = label
-                    continue
-                if count == len(empty):
-                    empty = np.concatenate((empty, np.empty_like(empty)))
-                empty[count] = (i * n1 + j) * n2 + k
-                count += 1
+    for n in range(len(voxels)):
+        label = grid[on_grid[n]] if on_grid[n] >= 0 else 0
+        if label > 0:
+            flat[voxels[n]] = label
+        else:
+            empty[count] = voxels[n]
+            count += 1
     return labels, empty[:count].copy()
 
 
@@ -91,20 +82,46 @@ def _grow(labels, empty):
 
 
 @njit(cache=True)
-def _join_diagonals(labels):
-    """Mend every square of four voxels in which a label holds two opposite corners only.
+def _edges(labels, voxels):
+    flat = labels.reshape(-1)
+    s0, s1 = labels.shape[1] * labels.shape[2], labels.shape[2]
+    edges = np.empty((1024, 2), np.int64)
+    count = 0
+    for v in voxels:
+        own = flat[v]
+        x, y, z = flat[v + s0], flat[v + s1], flat[v + 1]
+        if x == own and y == own and z == own:
+            continue
+        if count + 3 > len(edges):
+            edges = np.concatenate((edges, np.empty_like(edges)))
+        if x != own and x != 0:
+            edges[count, 0], edges[count, 1] = v, 0
+            count += 1
+        if y != own and y != 0:
+            edges[count, 0], edges[count, 1] = v, 1
+            count += 1
+        if z != own and z != 0:
+            edges[count, 0], edges[count, 1] = v, 2
+            count += 1
+    return edges[:count].copy()
+
+
+@njit(cache=True)
+def _join_diagonals(labels, edges):
+    """Mend every square of four voxels in which a label holds two opposite corners only; whether there was one.
 
     The higher label gives way to the lower, so that this comes to an end; what a change spoils nearby is looked at
     next. The border of the array is empty."""
     flat = labels.reshape(-1)
     strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
     changed = np.empty(64, np.int64)
-    top = 0
-    for v in range(flat.size - strides[0] - strides[1]):
-        if flat[v] == 0:
-            continue
-        for axis in range(3):
-            top, changed = _mend(flat, v, strides[(axis + 1) % 3], strides[(axis + 2) % 3], changed, top)
+    top, any_change = 0, False
+    for e in range(len(edges)):
+        p = strides[edges[e, 1]]
+        for q in strides:
+            if q != p:
+                top, changed = _mend(flat, edges[e, 0], p, q, changed, top)
+        any_change |= top > 0
         while top > 0:
             top -= 1
             u = changed[top]
@@ -112,13 +129,14 @@ def _join_diagonals(labels):
                 p, q = strides[(axis + 1) % 3], strides[(axis + 2) % 3]
                 for back in (0, p, q, p + q):
                     top, changed = _mend(flat, u - back, p, q, changed, top)
+    return any_change
 
 
 @njit(cache=True, inline="always")
 def _mend(flat, v, p, q, changed, top):
     """Mend the square v, v + p, v + q, v + p + q, and add a changed voxel to the stack."""
     a, b, c, d = flat[v], flat[v + p], flat[v + q], flat[v + p + q]
-    if a == b or a == c or a == 0 or b == 0 or c == 0 or d == 0:
+    if a in (b, c) or a == 0 or b == 0 or c == 0 or d == 0:
         return top, changed
     if a == d:
         one, two, left, right = v, v + p + q, v + p, v + q

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from deepfracture.carve.ground import Ground
-from deepfracture.carve.predicates import side
+from deepfracture.carve.predicates import side, volume
 from deepfracture.carve.sheets import Sheets
 from deepfracture.types import Floats, Ints
 
@@ -86,7 +86,7 @@ def edge_codes(triangles: Ints, count: int) -> Ints:
 
 def cross(ground: Ground, sheets: Sheets) -> Crossing:
     """All crossings of sheets and surface. Raises NotGeneral if they cannot be told exactly."""
-    start, members = _members(sheets.cubes, ground.cubes, ground.touching, int(np.prod(ground.needed.shape)))
+    start, members = _members(sheets.number, len(sheets.cubes), ground.cubes, ground.touching)
     failed, segments = _segments(
         ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
         start, members,
@@ -135,16 +135,13 @@ def _along(nodes: Ints, codes: Ints, share: Floats, sides: Ints) -> EdgeNodes:
 
 
 @njit(cache=True)
-def _members(cubes, touched, touching, size):
-    """The faces that touch each of `cubes`: where they start, and they."""
-    number = np.zeros(size, np.int32)
-    for n in range(len(cubes)):
-        number[cubes[n]] = n + 1
-    start = np.zeros(len(cubes) + 1, np.int64)
+def _members(number, count, touched, touching):
+    """The faces that touch each of the sheets' cubes: where they start, and they."""
+    start = np.zeros(count + 1, np.int64)
     for cube in touched:
         if number[cube] > 0:
             start[number[cube]] += 1
-    for n in range(len(cubes)):
+    for n in range(count):
         start[n + 1] += start[n]
     place = start[:-1].copy()
     members = np.empty(start[-1], np.int64)
@@ -300,9 +297,11 @@ def _shares(points, faces, sheet_points, triangles, nodes, ends):
             t, a, b = sheet_points[triangles[nodes[n, 1]]], points[ends[n, 0]], points[ends[n, 1]]
         else:
             t, a, b = points[faces[nodes[n, 1]]], sheet_points[ends[n, 0]], sheet_points[ends[n, 1]]
-        u, v = t[1] - t[0], t[2] - t[0]
-        normal = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
-        one, two = abs(((a - t[0]) * normal).sum()), abs(((b - t[0]) * normal).sum())
-        share[n] = one / (one + two) if one + two > 0 else 0.5
-        below[n] = over(t, a) < 0
+        one, two = _volume(t, a), _volume(t, b)
+        share[n], below[n] = one / (one - two), one < 0
     return share, below
+
+
+@njit(cache=True, inline="always")
+def _volume(t, p):
+    return volume(t[0, 0], t[0, 1], t[0, 2], t[1, 0], t[1, 1], t[1, 2], t[2, 0], t[2, 1], t[2, 2], p[0], p[1], p[2])

@@ -15,7 +15,6 @@ from deepfracture.geometry import mass_properties
 from deepfracture.progress import stage
 from deepfracture.types import (
     BadInput,
-    Floats,
     FracturePattern,
     Fragment,
     Fragments,
@@ -57,10 +56,10 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
         raise BadInput(f"density must be positive, got {density}")
     ground = ground_of(shape.mesh, pattern.grid, shape.name)
     with stage("cells"):
-        labels = cell_labels(ground, pattern)
+        labels, edges = cell_labels(ground, pattern)
     for attempt in range(TRIES):
         with stage("sheets"):
-            sheets = crack_sheets(labels, pattern, ground.low, seed=attempt)
+            sheets = crack_sheets(labels, edges, pattern, ground.low, seed=attempt)
         try:
             pieces = _pieces(shape.mesh, pattern.grid, ground, labels, sheets)
         except NotGeneral:

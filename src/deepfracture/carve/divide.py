@@ -1,4 +1,4 @@
-"""Triangles divided along the segments in which others cross them: polygons by label, then ears."""
+"""Triangles divided along the segments in which others cross them: polygons by label, then ears, then flips."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from numba import njit
 
 from deepfracture.carve.crossing import EdgeNodes, NotGeneral, Segments
 from deepfracture.types import Floats, Ints
+
+FLIPS = 8
+"""Diagonals flipped for each triangle of a polygon, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +302,7 @@ def _ears(loops, loop_start, flat, wanted):
                     m = after[m]
                 at = best
             a, b = before[at], after[at]
-            corners[made, 0], corners[made, 1], corners[made, 2] = loops[first + a], loops[first + at], loops[first + b]
+            corners[made, 0], corners[made, 1], corners[made, 2] = a, at, b
             of[made] = n
             made += 1
             after[a], before[b] = b, a
@@ -307,20 +310,74 @@ def _ears(loops, loop_start, flat, wanted):
             if left > 4:
                 worth[a] = _worth(own, before, after, a)
                 worth[b] = _worth(own, before, after, b)
+        if size > 3:
+            _flip(own, corners[made - size + 2 : made])
+        for m in range(made - size + 2, made):
+            for x in range(3):
+                corners[m, x] = loops[first + corners[m, x]]
     return corners, of
 
 
 @njit(cache=True)
+def _flip(flat, corners):
+    """Flip diagonals between two triangles while that makes the worse of the two better: ears leave slivers where
+    nodes lie in one line."""
+    count = len(corners)
+    keys = np.empty(3 * count, np.int64)
+    for e in range(3 * count):
+        a, b = corners[e // 3, e % 3], corners[e // 3, (e % 3 + 1) % 3]
+        keys[e] = min(a, b) * len(flat) + max(a, b)
+    order = np.argsort(keys)
+    beside = np.full(3 * count, -1, np.int64)
+    for m in range(3 * count - 1):
+        e, f = order[m], order[m + 1]
+        if keys[e] == keys[f]:
+            beside[e], beside[f] = f, e
+    left = FLIPS * count
+    changed = True
+    while changed and left > 0:
+        changed = False
+        for e in range(3 * count):
+            f = beside[e]
+            if f < e or left == 0:
+                continue
+            t, n, u, m = e // 3, e % 3, f // 3, f % 3
+            a, b, c = corners[t, n], corners[t, (n + 1) % 3], corners[t, (n + 2) % 3]
+            d = corners[u, (m + 2) % 3]
+            now = min(_shape(flat, a, b, c), _shape(flat, b, a, d))
+            if min(_shape(flat, a, d, c), _shape(flat, d, b, c)) <= now + 1e-9:
+                continue
+            # t keeps the edge c a, u the edge d b; the new diagonal is d c.
+            bc, ca, ad, db = 3 * t + (n + 1) % 3, 3 * t + (n + 2) % 3, 3 * u + (m + 1) % 3, 3 * u + (m + 2) % 3
+            outside = (beside[ad], beside[ca], beside[db], beside[bc])
+            inside = (3 * t, 3 * t + 2, 3 * u, 3 * u + 1)
+            corners[t, 0], corners[t, 1], corners[t, 2] = a, d, c
+            corners[u, 0], corners[u, 1], corners[u, 2] = d, b, c
+            for x in range(4):
+                beside[inside[x]] = outside[x]
+                if outside[x] >= 0:
+                    beside[outside[x]] = inside[x]
+            beside[3 * t + 1], beside[3 * u + 2] = 3 * u + 2, 3 * t + 1
+            changed, left = True, left - 1
+
+
+@njit(cache=True, inline="always")
+def _shape(flat, a, b, c):
+    """Shape of a triangle: 1 equilateral, 0 flat, negative if it turns to the right."""
+    ux, uy, vx, vy = flat[b, 0] - flat[a, 0], flat[b, 1] - flat[a, 1], flat[c, 0] - flat[a, 0], flat[c, 1] - flat[a, 1]
+    longest = ux * ux + uy * uy + vx * vx + vy * vy + (vx - ux) ** 2 + (vy - uy) ** 2
+    return 2 * np.sqrt(3.0) * (ux * vy - uy * vx) / longest if longest > 0 else 0.0
+
+
+@njit(cache=True)
 def _worth(flat, before, after, at):
-    """Shape of the ear at a point (1 equilateral, 0 flat, negative reflex), less 4 if it holds another point."""
+    """Shape of the ear at a point, less 2 if it is reflex, less 4 if it holds another point."""
     a, b = before[at], after[at]
     ux, uy = flat[at, 0] - flat[a, 0], flat[at, 1] - flat[a, 1]
     vx, vy = flat[b, 0] - flat[at, 0], flat[b, 1] - flat[at, 1]
     wx, wy = flat[a, 0] - flat[b, 0], flat[a, 1] - flat[b, 1]
-    twice = ux * vy - uy * vx
-    longest = ux * ux + uy * uy + vx * vx + vy * vy + wx * wx + wy * wy
-    shape = 2 * np.sqrt(3.0) * twice / longest if longest > 0 else 0.0
-    if twice <= 0:
+    shape = _shape(flat, a, at, b)
+    if shape <= 0:
         return shape - 2.0
     n = after[b]
     while n != a:

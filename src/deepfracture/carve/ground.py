@@ -33,9 +33,11 @@ class Ground:
     """The edge from each corner of a face to the next, shape (m, 3)."""
     inside: NDArray[np.bool_]
     """Which voxel centres lie inside the mesh, shape (a, b, c)."""
-    needed: NDArray[np.bool_]
-    """Those and all corners of the cubes that the mesh touches: with a label for each of them every crack in the
-    body is closed. Shape (a, b, c)."""
+    voxels: NDArray[np.int32]
+    """Flat indices of the voxels that need a label, ascending: those inside, and all corners of the cubes that the
+    mesh touches, for then every crack in the body is closed. Shape (u,)."""
+    on_grid: NDArray[np.int32]
+    """Flat index of each of them on the grid, -1 past its border, shape (u,)."""
     cubes: Ints
     """Flat index of a touched cube's first corner, ascending, shape (p,) ..."""
     touching: Ints
@@ -57,14 +59,35 @@ def _ground(mesh: Mesh, grid: Grid, name: str) -> Ground:
     edges, edge_of = _edges(mesh, name)
     index = grid.to_index(mesh.vertices[mesh.faces])
     low = np.floor(index.min(axis=(0, 1))).astype(np.int64) - ROOM
-    shape = tuple(int(n) for n in np.ceil(index.max(axis=(0, 1))).astype(np.int64) + ROOM + 1 - low)
+    a, b, c = (np.ceil(index.max(axis=(0, 1))).astype(np.int64) + ROOM + 1 - low).tolist()
     points = grid.to_index(mesh.vertices) - low
-    cubes, touching = _touched(points[mesh.faces], np.array(shape))
+    cubes, touching = _touched(points[mesh.faces], np.array([a, b, c]))
     order = np.argsort(cubes, kind="stable")
-    inside = winding_lattice(mesh, grid.to_world(low), grid.spacing, shape) > 0
+    inside = winding_lattice(mesh, grid.to_world(low), grid.spacing, (a, b, c)) > 0
+    voxels, on_grid = _needed(inside, cubes, low, grid.resolution)
+    faces = np.array(mesh.faces)
+    return Ground(low, points, faces, edges, edge_of, inside, voxels, on_grid, cubes[order], touching[order])
+
+
+@njit(cache=True)
+def _needed(inside, cubes, low, resolution):
+    """See `Ground.voxels` and `Ground.on_grid`."""
     needed = inside.copy()
-    _mark_corners(cubes, needed)
-    return Ground(low, points, np.array(mesh.faces), edges, edge_of, inside, needed, cubes[order], touching[order])
+    flat, s1, s0 = needed.reshape(-1), needed.shape[2], needed.shape[1] * needed.shape[2]
+    for cube in cubes:
+        for n in range(8):
+            flat[cube + (n >> 2) * s0 + (n >> 1 & 1) * s1 + (n & 1)] = True
+    voxels = np.empty(flat.sum(), np.int32)
+    on_grid = np.full(len(voxels), -1, np.int32)
+    count = 0
+    for v in range(len(flat)):
+        if flat[v]:
+            i, j, k = v // s0 + low[0], v // s1 % needed.shape[1] + low[1], v % s1 + low[2]
+            if min(i, j, k) >= 0 and max(i, j, k) < resolution:
+                on_grid[count] = (i * resolution + j) * resolution + k
+            voxels[count] = v
+            count += 1
+    return voxels, on_grid
 
 
 def _edges(mesh: Mesh, name: str) -> tuple[Ints, Ints]:
@@ -107,11 +130,3 @@ def _touched(triangles, size):
                     cubes[count], faces[count] = (i * size[1] + j) * size[2] + k, t
                     count += 1
     return cubes[:count].copy(), faces[:count].copy()
-
-
-@njit(cache=True)
-def _mark_corners(cubes, mark):
-    flat, s1, s0 = mark.reshape(-1), mark.shape[2], mark.shape[1] * mark.shape[2]
-    for cube in cubes:
-        for n in range(8):
-            flat[cube + (n >> 2) * s0 + (n >> 1 & 1) * s1 + (n & 1)] = True

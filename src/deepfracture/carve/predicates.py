@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
 ROUNDING = 2.0**-53
@@ -26,6 +25,12 @@ def side(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
         if abs(determinant) <= FINE_BOUND * size:
             return 0
     return -1 if determinant > 0 else 1
+
+
+@njit(cache=True)
+def volume(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
+    """(b - a) x (c - a) . (d - a), right to the last digits of a float but where it all but vanishes."""
+    return -_fine(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz)
 
 
 @njit(cache=True)

@@ -30,6 +30,8 @@ class Sheets:
     cubes: Ints
     """Flat index of the first corner of the cube that holds each of the first vertices, shape (u,), u <= v; the
     others lie on grid edges."""
+    number: Labels
+    """One more than the index of each cube of the box in `cubes`, 0 for the others, flat."""
     triangles: Ints
     """Counter-clockwise seen from the cell above, shape (t, 3)."""
     sides: Labels
@@ -40,20 +42,19 @@ class Sheets:
     """The four cubes around that edge, as indices into `cubes`, shape (q, 4): they hold all of its triangles."""
 
 
-def crack_sheets(labels: Labels, pattern: FracturePattern, low: Ints, *, seed: int = 0) -> Sheets:
+def crack_sheets(labels: Labels, edges: Ints, pattern: FracturePattern, low: Ints, *, seed: int = 0) -> Sheets:
     """The surfaces between cells.
 
     A vertex stands in every cube that a sheet passes. It starts at the mean of the cracks' crossings of the cube's
     edges, then relaxes along the sheet (along junction lines where three cells meet) without leaving its cube.
 
     Args:
-        labels: Cell of each voxel, 0 where none is needed.
+        labels, edges: From `cell_labels`.
         pattern: Where its distances are known, they say where cracks cross grid edges.
         low: Grid index of the first voxel of `labels`.
         seed: Of the jitter.
     """
-    edges = _edges(labels)
-    around, cubes = _cubes(labels.shape, edges)
+    around, cubes, number = _cubes(labels.shape, edges)
     base = np.stack(np.unravel_index(cubes, labels.shape), axis=1)
     middle = base + 0.5
     points, trusted, kind = _place(labels, pattern.labels, pattern.distance, low, base)
@@ -64,33 +65,13 @@ def crack_sheets(labels: Labels, pattern: FracturePattern, low: Ints, *, seed: i
     jitter = np.random.default_rng(seed).uniform(-JITTER, JITTER, (len(points) + len(edges), 3))
     points += jitter[: len(points)]
     points, triangles, sides, quads = _triangles(labels, points, around, edges, jitter[len(points) :])
-    return Sheets(points, cubes, triangles, sides, quads, around)
-
-
-@njit(cache=True)
-def _edges(labels):
-    """Grid edges between two cells: flat index of the first voxel and the axis, shape (q, 2)."""
-    flat = labels.reshape(-1)
-    strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
-    edges = np.empty((1024, 2), np.int64)
-    count = 0
-    for v in range(flat.size - strides[0]):
-        if flat[v] == 0:
-            continue
-        for axis in range(3):
-            other = flat[v + strides[axis]]
-            if other == flat[v] or other == 0:
-                continue
-            if count == len(edges):
-                edges = np.concatenate((edges, np.empty_like(edges)))
-            edges[count, 0], edges[count, 1] = v, axis
-            count += 1
-    return edges[:count].copy()
+    return Sheets(points, cubes, number, triangles, sides, quads, around)
 
 
 @njit(cache=True)
 def _cubes(shape, edges):
-    """The four cubes around each edge, counter-clockwise seen from its second voxel, by number; all cubes."""
+    """The four cubes around each edge, counter-clockwise seen from its second voxel, by index into all cubes; these;
+    and for each cube of the box one more than that index, or 0."""
     strides = (shape[1] * shape[2], shape[2], 1)
     number = np.zeros(shape[0] * shape[1] * shape[2], np.int32)
     around = np.empty((len(edges), 4), np.int64)
@@ -106,7 +87,7 @@ def _cubes(shape, edges):
                 count += 1
                 number[cube] = count
             around[n, corner] = number[cube] - 1
-    return around, cubes[:count].copy()
+    return around, cubes[:count].copy(), number
 
 
 @njit(cache=True)
@@ -159,6 +140,7 @@ def _links(labels, around, edges, base, kind):
     Only along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a junction
     line (3) needs. Points where more meet get none."""
     links = np.full((len(base), 6), -1, np.int32)
+    flat, strides = labels.reshape(-1), (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
     for n in range(len(edges)):
         axis = edges[n, 1]
         for corner in range(4):
@@ -167,7 +149,8 @@ def _links(labels, around, edges, base, kind):
             across = (axis + 1) % 3 if corner % 2 == 0 else (axis + 2) % 3
             if base[one, across] > base[two, across]:
                 one, two = two, one
-            cells = _cells_on_face(labels, base[two], across)
+            corner_of_face = base[two, 0] * strides[0] + base[two, 1] * strides[1] + base[two, 2]
+            cells = _cells_on_face(flat, corner_of_face, strides[(across + 1) % 3], strides[(across + 2) % 3])
             for v, u, side in ((one, two, 1), (two, one, 0)):
                 if (kind[v] == 2 and cells >= 2) or (kind[v] == 3 and cells >= 3):
                     links[v, 2 * across + side] = u
@@ -178,20 +161,16 @@ def _links(labels, around, edges, base, kind):
 
 
 @njit(cache=True, inline="always")
-def _cells_on_face(labels, corner, across):
-    """Number of cells among the four voxels of the face through `corner` across an axis."""
-    seen = np.empty(4, np.int32)
-    count = 0
-    for m in range(4):
-        i = corner[0] + (0 if across == 0 else m & 1)
-        j = corner[1] + (0 if across == 1 else m & 1 if across == 0 else m >> 1)
-        k = corner[2] + (0 if across == 2 else m >> 1)
-        fresh = labels[i, j, k] != 0
-        for s in range(count):
-            fresh = fresh and seen[s] != labels[i, j, k]
-        if fresh:
-            seen[count] = labels[i, j, k]
-            count += 1
+def _cells_on_face(flat, a, p, q):
+    """Number of cells among the four voxels a, a + p, a + q, a + p + q."""
+    one, two, three, four = flat[a], flat[a + p], flat[a + q], flat[a + p + q]
+    count = 1 if one != 0 else 0
+    if two != 0 and two != one:
+        count += 1
+    if three != 0 and three != one and three != two:
+        count += 1
+    if four != 0 and four != one and four != two and four != three:
+        count += 1
     return count
 
 
@@ -242,8 +221,10 @@ def _triangles(labels, points, around, edges, jitter):
         ring = around[n]
         quads[n] = made
         corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
-        length = ((points[ring[0]] - points[ring[2]]) ** 2).sum() - ((points[ring[1]] - points[ring[3]]) ** 2).sum()
-        turn = 1 if length > 0 else 0
+        longer = 0.0
+        for x in range(3):
+            longer += (points[ring[0], x] - points[ring[2], x]) ** 2 - (points[ring[1], x] - points[ring[3], x]) ** 2
+        turn = 1 if longer > 0 else 0
         kept = _keeps(points, ring, corner, axis, turn)
         if not kept:
             turn = 1 - turn

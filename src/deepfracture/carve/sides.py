@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 
@@ -27,12 +29,14 @@ def surface_cells(ground: Ground, sheets: Sheets, crossing: Crossing, labels: La
     cells = _names(group, ground.edges[nodes.edges], nodes)
 
     def walls(cube: Ints) -> tuple[Floats, Ints]:
-        number = np.flatnonzero(sheets.cubes == np.ravel_multi_index(tuple(cube), labels.shape))
-        quads = np.flatnonzero((sheets.around == number).any(axis=1)) if len(number) else np.empty(0, np.int64)
-        around = np.concatenate([np.arange(sheets.quads[q], sheets.quads[q + 1]) for q in quads] or [quads])
+        number = sheets.number[np.ravel_multi_index(tuple(cube), labels.shape)] - 1
+        quads = np.flatnonzero((sheets.around == number).any(axis=1)) if number >= 0 else np.empty(0, np.int64)
+        around = np.flatnonzero(
+            np.isin(np.searchsorted(sheets.quads, np.arange(len(sheets.sides)), "right") - 1, quads)
+        )
         return sheets.points[sheets.triangles[around]], sheets.sides[around].astype(np.int64)
 
-    _complete(cells, group, ground.points, labels, walls)
+    _complete(cells, group, ground.points, lambda corners: labels[corners].astype(np.int64), walls)
     return cells[group]
 
 
@@ -49,7 +53,7 @@ def sheet_walls(ground: Ground, sheets: Sheets, crossing: Crossing) -> Ints:
         faces = ground.touching[slice(*np.searchsorted(ground.cubes, [flat, flat + 1]))]
         return ground.points[ground.faces[faces]], np.tile([INSIDE, OUTSIDE], (len(faces), 1))
 
-    _complete(sides, group, sheets.points, np.where(ground.inside, INSIDE, OUTSIDE), walls)
+    _complete(sides, group, sheets.points, lambda corners: np.where(ground.inside[corners], INSIDE, OUTSIDE), walls)
     return sides[group]
 
 
@@ -103,13 +107,19 @@ def _tell(names, groups, first, last):
     return False
 
 
-def _complete(names: Ints, group: Ints, points: Floats, labels: Labels, walls) -> None:
-    """Name the groups that no node has named."""
+def _complete(
+    names: Ints,
+    group: Ints,
+    points: Floats,
+    names_at: Callable[[tuple[Ints, ...]], Ints],
+    walls: Callable[[Ints], tuple[Floats, Ints]],
+) -> None:
+    """Name the groups that no node has named, by the names at voxels and the walls in a cube."""
     unnamed = np.flatnonzero(names[group] == 0)
     if not len(unnamed):
         return
     base = np.floor(points[unnamed]).astype(np.int64)
-    near = labels[tuple(np.moveaxis(base[:, None] + CORNERS, -1, 0))]  # (n, 8)
+    near = names_at(tuple(np.moveaxis(base[:, None] + CORNERS, -1, 0)))  # (n, 8)
     same = (near == near[:, :1]).all(axis=1)
     for which in np.flatnonzero(same):
         # One label at all corners of a cube says nothing about a cube that walls pass twice.

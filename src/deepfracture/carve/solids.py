@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
 from deepfracture.carve.join import root
@@ -52,83 +53,60 @@ def solids(faces: Faces, smallest: float) -> list[Solid]:
 
     Dust joins the neighbour that it shares most crack surface with, and the faces between them go; what touches no
     other solid stays as it is. Raises NotGeneral if some cell's surface is not closed."""
-    corners = np.concatenate([faces.outer, faces.inner, faces.inner[:, [0, 2, 1]]])
-    cell = np.concatenate([faces.cell, faces.sides[:, 0], faces.sides[:, 1]])
-    m, k = len(faces.outer), len(faces.inner)
-    mate = np.concatenate([np.full(m, -1), np.arange(m + k, m + 2 * k), np.arange(m, m + k)])
+    while True:
+        made, doubles = _solids(faces, smallest)
+        if not len(doubles):
+            return made
+        faces = _halved(faces, doubles)
+
+
+def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
+    """The solids, and the edges, as points, that join the same two vertices of a solid twice, shape (d, 2)."""
+    corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
+    outer, inner = len(faces.outer), len(faces.inner)
     twin = _twins(corners, cell, len(faces.positions))
     if twin[0] == -2:
         raise NotGeneral
-    shell = _shells(twin, len(corners))
-    solid, count = _solids_of_shells(faces, corners, cell, mate, shell, smallest)
-    kept = (mate < 0) | (solid != solid[mate])
-    kept &= solid >= 0
-    twin = _relinked(twin, mate, kept)
-    order = np.flatnonzero(kept)[np.argsort(solid[kept], kind="stable")]
-    fans, points, point_start, face_start = _numbered(corners, twin, solid, order, count)
-    place = np.empty(len(corners), np.int64)
-    place[order] = np.arange(len(order))
-    pair = 3 * place[twin.reshape(-1, 3)[order] // 3] + twin.reshape(-1, 3)[order] % 3
-    source = np.concatenate([faces.source, np.full(2 * k, -1)])[order]
-    made = []
-    for n in range(count):
+    shell, first = _shells(twin, len(corners))
+    into = _solids_of_shells(faces.positions, corners, cell, shell, first, outer, inner, smallest)
+    names = np.unique(into[into >= 0])
+    names = names[np.lexsort([names, cell[first[names]]])]
+    number = np.full(len(into) + 1, -1)
+    number[names] = np.arange(len(names))
+    solid = number[into][shell]
+    goes = _going(solid, outer, inner)
+    order, face_start = _sorted(solid, goes, len(names))
+    joined = np.bincount(solid[goes & (solid >= 0)], minlength=len(names)) > 0
+    if joined.any():
+        twin = _relinked(twin, goes, outer, inner)
+    fans, points, point_start = _numbered(corners, twin, order, face_start)
+    source = np.where(order < outer, faces.source[np.minimum(order, outer - 1)], -1)
+    made, doubles = [], [np.empty((0, 2), np.int64)]
+    for n in range(len(names)):
         span = slice(face_start[n], face_start[n + 1])
-        vertices = faces.positions[points[point_start[n] : point_start[n + 1]]]
-        made.append(_solid(vertices, fans[span], pair[span] - 3 * face_start[n], source[span]))
-    return made
-
-
-def _solid(vertices: Floats, faces: Ints, pair: Ints, source: Ints) -> Solid:
-    """A solid, with an edge halved where two run between the same vertices: as after dust has joined at an edge.
-
-    `pair`: for the edge from each corner to the next the number (3 face + corner) of its twin, shape (m, 3)."""
-    while len(doubles := _doubles(faces, len(vertices))):
-        faces, pair, source = faces.tolist(), pair.tolist(), source.tolist()
-        points, busy = [vertices], set()
-        for f, n in (divmod(int(e), 3) for e in doubles):
-            g, k = divmod(pair[f][n], 3)
-            if f in busy or g in busy:
-                continue
-            busy |= {f, g}
-            middle = len(vertices) + len(points) - 1
-            points.append(vertices[[faces[f][n], faces[g][k]]].mean(axis=0, keepdims=True))
-            _halve(faces, pair, source, f, n, g, k, middle)
-        vertices, faces, pair, source = np.concatenate(points), np.array(faces), np.array(pair), np.array(source)
-    return Solid(Mesh(vertices, faces), source)
+        own = points[point_start[n] : point_start[n + 1]]
+        if joined[n]:
+            doubles.append(own[_doubles(fans[span], len(own))].astype(np.int64))
+        made.append(Solid(Mesh(faces.positions[own], fans[span]), source[span]))
+    return made, np.concatenate(doubles)
 
 
 def _doubles(faces: Ints, count: int) -> Ints:
-    """Edges, as 3 face + corner and in one direction, between vertices that another edge joins already."""
+    """Pairs of vertices that more than one edge joins: as where dust has joined a solid along an edge, too."""
     following = faces[:, [1, 2, 0]]
-    forth = np.flatnonzero((faces < following).ravel())
+    forth = (faces < following).ravel()
     keys = (faces * count + following).ravel()[forth]
-    if _all_differ(keys, 3 * count):
-        return forth[:0]
-    order = np.argsort(keys, kind="stable")
-    return forth[order[1:][keys[order][1:] == keys[order][:-1]]]
-
-
-def _halve(faces: list, pair: list, source: list, f: int, n: int, g: int, k: int, middle: int) -> None:
-    """Halve the edge from corner n of face f, which is that from corner k of face g: both become two faces."""
-    for face, corner, new, other in ((f, n, len(faces), len(faces) + 1), (g, k, len(faces) + 1, len(faces))):
-        a, b, c = (faces[face][(corner + m) % 3] for m in range(3))
-        behind = pair[face][(corner + 1) % 3]
-        # a, middle, c stays in place; middle, b, c is new.
-        faces[face][(corner + 1) % 3] = middle
-        faces.append([middle, b, c])
-        source.append(source[face])
-        pair[face][corner] = 3 * other
-        pair[face][(corner + 1) % 3] = 3 * new + 2
-        pair.append([3 * (g if face == f else f) + (k if face == f else n), behind, 3 * face + (corner + 1) % 3])
-        pair[behind // 3][behind % 3] = 3 * new + 1
-        assert a != b
+    if _all_differ(keys):
+        return np.empty((0, 2), np.int64)
+    unique, times = np.unique(keys, return_counts=True)
+    return np.stack(np.divmod(unique[times > 1], count), axis=1)
 
 
 @njit(cache=True)
-def _all_differ(keys, room):
+def _all_differ(keys):
     """Whether no key comes twice: by a table with open addresses."""
     size = 16
-    while size < 2 * room:
+    while size < 4 * len(keys):
         size *= 2
     table = np.full(size, -1, np.int64)
     for key in keys:
@@ -139,6 +117,85 @@ def _all_differ(keys, room):
             at = (at + 1) & (size - 1)
         table[at] = key
     return True
+
+
+def _halved(faces: Faces, edges: Ints) -> Faces:
+    """The same faces with some edges halved, whichever cells they belong to: where two parts of a solid meet along
+    an edge only, each of them then has a midpoint of its own."""
+    count = len(faces.positions)
+    keys = np.unique(edges.min(axis=1) * count + edges.max(axis=1))
+    ends = np.stack(np.divmod(keys, count), axis=1)
+    positions = np.concatenate([faces.positions, faces.positions[ends].mean(axis=1)])
+    outer, of_outer = _halves(faces.outer, keys, count)
+    inner, of_inner = _halves(faces.inner, keys, count)
+    return Faces(positions, outer, faces.source[of_outer], faces.cell[of_outer], inner, faces.sides[of_inner])
+
+
+def _halves(corners: Ints, keys: Ints, count: int) -> tuple[Ints, Ints]:
+    """Triangles with the edges `keys` halved at the points from `count` on, and the triangle each is part of."""
+    of = np.arange(len(corners))
+    for n in [0, 1, 2] * 3:
+        a, b, c = corners[:, n], corners[:, (n + 1) % 3], corners[:, (n + 2) % 3]
+        code = np.where(np.maximum(a, b) < count, np.minimum(a, b) * count + np.maximum(a, b), -1)
+        at = np.minimum(np.searchsorted(keys, code), len(keys) - 1)
+        hit = keys[at] == code
+        middle = count + at[hit]
+        second = np.stack([middle, b[hit], c[hit]], axis=1)
+        corners = corners.copy()
+        corners[hit, (n + 1) % 3] = middle
+        corners, of = np.concatenate([corners, second]), np.concatenate([of, of[hit]])
+    return corners, of
+
+
+@njit(cache=True)
+def _half_faces(outer, cell, inner, sides):
+    """Corners and cell of each face of each cell: the outer ones, the inner ones as the cell below them has them,
+    and as the one above has them. `_mate` leads from one to the other."""
+    m, k = len(outer), len(inner)
+    corners, cells = np.empty((m + 2 * k, 3), np.int32), np.empty(m + 2 * k, np.int32)
+    for f in range(m):
+        corners[f, 0], corners[f, 1], corners[f, 2] = outer[f]
+        cells[f] = cell[f]
+    for f in range(k):
+        corners[m + f, 0], corners[m + f, 1], corners[m + f, 2] = inner[f]
+        corners[m + k + f, 0], corners[m + k + f, 1], corners[m + k + f, 2] = inner[f, 0], inner[f, 2], inner[f, 1]
+        cells[m + f], cells[m + k + f] = sides[f, 0], sides[f, 1]
+    return corners, cells
+
+
+@njit(cache=True, inline="always")
+def _mate(face, outer, inner):
+    """The other side of a crack's face, -1 of an outer one. Edge n of the one runs along edge 2 - n of the other."""
+    if face < outer:
+        return -1
+    return face + inner if face < outer + inner else face - inner
+
+
+@njit(cache=True)
+def _going(solid, outer, inner):
+    """Which faces go: those between two parts of a solid, and flat debris."""
+    goes = solid < 0
+    for f in range(outer, outer + inner):
+        if solid[f] == solid[f + inner]:
+            goes[f] = goes[f + inner] = True
+    return goes
+
+
+@njit(cache=True)
+def _sorted(solid, goes, count):
+    """The faces that stay, solid by solid, and where each starts."""
+    start = np.zeros(count + 1, np.int64)
+    for f in range(len(solid)):
+        if not goes[f]:
+            start[solid[f] + 1] += 1
+    for n in range(count):
+        start[n + 1] += start[n]
+    place, order = start[:-1].copy(), np.empty(start[-1], np.int64)
+    for f in range(len(solid)):
+        if not goes[f]:
+            order[place[solid[f]]] = f
+            place[solid[f]] += 1
+    return order, start
 
 
 @njit(cache=True)
@@ -152,18 +209,18 @@ def _twins(corners, cell, count):
     for v in range(count):
         start[v + 1] += start[v]
     place = start[:-1].copy()
-    bucket = np.empty(3 * len(corners), np.int64)
+    bucket = np.empty(3 * len(corners), np.int32)
     for f in range(len(corners)):
         for n in range(3):
             low = min(corners[f, n], corners[f, (n + 1) % 3])
             bucket[place[low]] = 3 * f + n
             place[low] += 1
-    twin = np.full(3 * len(corners), -1, np.int64)
-    cells = cell.max() + 1
+    twin = np.full(3 * len(corners), -1, np.int32)
+    cells = np.int64(cell.max() + 1)
     keys = np.empty(len(bucket), np.int64)
     for e in range(len(bucket)):
         f, n = bucket[e] // 3, bucket[e] % 3
-        keys[e] = max(corners[f, n], corners[f, (n + 1) % 3]) * cells + cell[f]
+        keys[e] = np.int64(max(corners[f, n], corners[f, (n + 1) % 3])) * cells + cell[f]
     for v in range(count):
         first, last = start[v], start[v + 1]
         crowded = last - first > CROWD
@@ -189,42 +246,72 @@ def _twins(corners, cell, count):
 
 @njit(cache=True)
 def _shells(twin, count):
-    """Number 0.. of the connected surface that each face belongs to, in the order of their first faces."""
-    parent = np.arange(count)
+    """Number 0.. of the connected surface that each face belongs to, and the first face of each."""
+    parent = np.arange(count).astype(np.int32)
     for e in range(len(twin)):
-        a, b = root(parent, e // 3), root(parent, twin[e] // 3)
-        if a != b:
-            parent[max(a, b)] = min(a, b)
-    number, shells = np.empty(count, np.int64), 0
+        if twin[e] > e:
+            a, b = root(parent, e // 3), root(parent, twin[e] // 3)
+            if a != b:
+                parent[max(a, b)] = min(a, b)
+    number, first = np.empty(count, np.int32), np.empty(count, np.int64)
+    shells = 0
     for f in range(count):
-        first = root(parent, f)
-        if first == f:
-            number[f] = shells
+        head = root(parent, f)
+        if head == f:
+            number[f], first[shells] = shells, f
             shells += 1
         else:
-            number[f] = number[first]
-    return number
+            number[f] = number[head]
+    return number, first[:shells].copy()
 
 
 def _solids_of_shells(
-    faces: Faces, corners: Ints, cell: Ints, mate: Ints, shell: Ints, smallest: float
-) -> tuple[Ints, int]:
-    """The solid 0.. that each face belongs to, -1 for flat debris, and their number, ordered by cell."""
-    first = np.unique(shell, return_index=True)[1]
-    volumes = _volumes(faces.positions, corners, shell, len(first))
+    positions: Floats,
+    corners: NDArray,
+    cell: NDArray,
+    shell: NDArray,
+    first: Ints,
+    outer: int,
+    inner: int,
+    smallest: float,
+) -> Ints:
+    """The shell whose solid each shell belongs to in the end, -1 for flat debris."""
+    volumes = _volumes(positions, corners, shell, len(first))
     flat = FLAT * np.abs(volumes).sum()
     into = np.arange(len(volumes))
-    for void in np.flatnonzero(volumes < -flat):
+    for void in np.flatnonzero(volumes < -flat).tolist():
         around = np.flatnonzero((cell[first] == cell[first[void]]) & (volumes > flat))
-        into[void] = _holder(faces.positions, corners, shell, void, around[np.argsort(volumes[around])])
-    whole = np.bincount(into, volumes, minlength=len(into))
-    if (whole[into] < smallest).any():
-        into = _join_dust(into, whole, _neighbours(faces.positions, corners, mate, into[shell]), smallest, flat)
-    names = np.unique(into[into >= 0])
-    names = names[np.lexsort([names, cell[first[names]]])]
-    number = np.full(len(into) + 1, -1)
-    number[names] = np.arange(len(names))
-    return number[into][shell], len(names)
+        into[void] = _holder(positions, corners, shell, void, around[np.argsort(volumes[around])])
+    whole = np.zeros(len(into))
+    np.add.at(whole, into, volumes)
+    small = (whole < smallest) & (into == np.arange(len(into)))
+    if not small.any():
+        return into
+    pairs, area = _touching(positions, corners, into, shell, small, outer, inner)
+    shared: dict[int, dict[int, float]] = {}
+    unique, which = np.unique(pairs, return_inverse=True)
+    for pair, size in zip(unique.tolist(), np.bincount(which.ravel(), area).tolist(), strict=True):
+        one, two = divmod(pair, len(into))
+        shared.setdefault(one, {})[two] = size
+        shared.setdefault(two, {})[one] = size
+    return _join_dust(into, whole, shared, np.flatnonzero(small).tolist(), smallest, flat)
+
+
+@njit(cache=True)
+def _touching(positions, corners, into, shell, small, outer, inner):
+    """Faces between a small solid and another: both shells as one number, the lower first, and the area."""
+    pairs, area = np.empty(inner, np.int64), np.empty(inner)
+    count = 0
+    for f in range(outer, outer + inner):
+        one, two = into[shell[f]], into[shell[f + inner]]
+        if one == two or not (small[one] or small[two]):
+            continue
+        a, b, c = positions[corners[f, 0]], positions[corners[f, 1]], positions[corners[f, 2]]
+        ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        square = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
+        pairs[count], area[count] = min(one, two) * len(into) + max(one, two), 0.5 * np.sqrt(square)
+        count += 1
+    return pairs[:count], area[:count]
 
 
 @njit(cache=True)
@@ -242,30 +329,16 @@ def _volumes(positions, corners, shell, count):
     return volumes / 6
 
 
-def _neighbours(positions: Floats, corners: Ints, mate: Ints, solid: Ints) -> dict[int, dict[int, float]]:
-    """Area [m^2] of the crack surface between each two solids that have one."""
-    inner = np.flatnonzero(mate >= 0)
-    inner = inner[solid[inner] != solid[mate[inner]]]
-    a, b, c = np.moveaxis(positions[corners[inner]], 1, 0)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    most = int(solid.max()) + 1
-    pairs, which = np.unique(solid[inner] * most + solid[mate[inner]], return_inverse=True)
-    shared: dict[int, dict[int, float]] = {}
-    for pair, size in zip(pairs.tolist(), np.bincount(which.ravel(), area).tolist(), strict=True):
-        shared.setdefault(pair // most, {})[pair % most] = size
-    return shared
-
-
-def _holder(positions: Floats, corners: Ints, shell: Ints, void: int, around: Ints) -> int:
+def _holder(positions: Floats, corners: NDArray, shell: NDArray, void: int, around: Ints) -> int:
     """The smallest of the shells `around`, in ascending order, that holds a void."""
     if not len(around):
         raise NotGeneral
     point = positions[corners[np.flatnonzero(shell == void)[0], 0]]
     for candidate in around[:-1]:
         triangles = positions[corners[shell == candidate]]
-        if (triangles.min(axis=(0, 1)) <= point).all() and (triangles.max(axis=(0, 1)) >= point).all():
-            if _encloses(triangles, point):
-                return int(candidate)
+        boxed = (triangles.min(axis=(0, 1)) <= point).all() and (triangles.max(axis=(0, 1)) >= point).all()
+        if boxed and _encloses(triangles, point):
+            return int(candidate)
     return int(around[-1])
 
 
@@ -278,10 +351,11 @@ def _encloses(triangles: Floats, point: Floats) -> bool:
     return bool(angle.sum() > 2 * np.pi)
 
 
-def _join_dust(into: Ints, volumes: Floats, shared: dict[int, dict[int, float]], smallest: float, flat: float) -> Ints:
+def _join_dust(
+    into: Ints, volumes: Floats, shared: dict[int, dict[int, float]], small: list[int], smallest: float, flat: float
+) -> Ints:
     """The solid that each shell ends in, -1 for flat ones that touch nothing. Empties `shared`."""
     ends, volumes = np.arange(len(into)), volumes.copy()
-    small = [n for n in np.flatnonzero(volumes < smallest).tolist() if into[n] == n]
     queue = [(volumes[n], n) for n in small]
     heapq.heapify(queue)
     while queue:
@@ -308,41 +382,40 @@ def _join_dust(into: Ints, volumes: Floats, shared: dict[int, dict[int, float]],
 
 
 @njit(cache=True)
-def _relinked(twin, mate, kept):
-    """Twins across the faces that have gone: the faces behind both sides of one meet."""
+def _relinked(twin, goes, outer, inner):
+    """Twins across the faces that go: the faces behind both sides of one meet."""
     linked = twin.copy()
     for e in range(len(twin)):
-        if not kept[e // 3]:
-            continue
         other = twin[e]
-        while not kept[other // 3]:
-            # Edge n of a face runs along edge 2 - n of its mate.
-            other = twin[3 * mate[other // 3] + 2 - other % 3]
+        if not goes[other // 3] or goes[e // 3]:
+            continue
+        while goes[other // 3]:
+            other = twin[3 * _mate(other // 3, outer, inner) + 2 - other % 3]
         linked[e] = other
     return linked
 
 
 @njit(cache=True)
-def _numbered(corners, twin, solid, order, count):
-    """Faces in `order` with their solid's own vertex numbers: one vertex for each fan of faces around a point."""
-    local = np.full(3 * len(corners), -1, np.int64)
-    points, faces = np.empty(3 * len(order), np.int64), np.empty((len(order), 3), np.int64)
-    point_start, face_start = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
+def _numbered(corners, twin, order, face_start):
+    """Corners of the sorted faces by their solid's own vertices, one for each fan of faces around a point; the
+    points of these; and where each solid's start."""
+    local = np.full(3 * len(corners), -1, np.int32)
+    points, faces = np.empty(3 * len(order), np.int32), np.empty((len(order), 3), np.int64)
+    point_start = np.zeros(len(face_start), np.int64)
     used = 0
-    for f in range(len(order)):
-        own = solid[order[f]]
-        face_start[own + 1] = f + 1
-        for n in range(3):
-            corner = 3 * order[f] + n
-            if local[corner] < 0:
-                name = used - point_start[own]
-                points[used] = corners[order[f], n]
-                used += 1
-                at = corner
-                while local[at] < 0:
-                    local[at] = name
-                    back = twin[at]
-                    at = back - back % 3 + (back % 3 + 1) % 3
-            faces[f, n] = local[corner]
+    for own in range(len(face_start) - 1):
+        base = used
+        for f in range(face_start[own], face_start[own + 1]):
+            for n in range(3):
+                corner = 3 * order[f] + n
+                if local[corner] < 0:
+                    points[used] = corners[order[f], n]
+                    at = corner
+                    while local[at] < 0:
+                        local[at] = used - base
+                        back = twin[at]
+                        at = back - back % 3 + (back % 3 + 1) % 3
+                    used += 1
+                faces[f, n] = local[corner]
         point_start[own + 1] = used
-    return faces, points[:used], point_start, face_start
+    return faces, points[:used], point_start
