@@ -10,6 +10,7 @@ from deepfracture.carve.divide import crossed_triangles, divide
 from deepfracture.carve.ground import Ground, ground_of
 from deepfracture.carve.sheets import Sheets, crack_sheets
 from deepfracture.carve.sides import sheet_walls, surface_cells
+from deepfracture.carve.slivers import without_short_edges
 from deepfracture.carve.solids import Faces, Solid, solids
 from deepfracture.geometry import mass_properties
 from deepfracture.progress import stage
@@ -28,6 +29,8 @@ from deepfracture.types import (
 
 DUST_VOXELS = 8.0
 """A piece below this volume [voxels] joins the neighbour it fits best: too small to have a shape."""
+SHORT = 1e-2
+"""Edges below this [voxels] go, but for those of the original."""
 TRIES = 4
 """Draws of the jitter, each another, after which a cut that no draw makes exact is given up."""
 
@@ -65,7 +68,9 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
         except NotGeneral:
             continue
         return Fragments(tuple(_fragment(piece, density) for piece in pieces))
-    raise NoSolution(f"{shape.name}: cannot be cut, its triangles degenerate where cracks cross them; try --repair")
+    raise NoSolution(
+        f"{shape.name}: cannot be cut: its surface crosses itself or degenerates where cracks cross it; try --repair"
+    )
 
 
 def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Sheets) -> list[Solid]:
@@ -76,6 +81,7 @@ def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Shee
         walls = sheet_walls(ground, sheets, crossing)
     with stage("divide"):
         faces = _faces(mesh, grid, ground, sheets, crossing, cells, walls)
+        faces = without_short_edges(faces, SHORT * grid.spacing, len(mesh.vertices))
     if not len(faces.inner):
         return [whole]
     with stage("solids"):
