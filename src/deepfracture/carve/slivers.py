@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
+from deepfracture.carve.crossing import over, pierces
 from deepfracture.carve.solids import Faces
 
 PASSES = 6
@@ -72,24 +73,7 @@ def _short_edges(positions, corners, shortest, originals):
 @njit(cache=True)
 def _collapse(positions, corners, sides, source, short, shortest, originals):
     """Collapse what can go; rows of `corners` that are gone become -1. Returns how many edges went."""
-    slot = np.full(len(positions), -1, np.int32)
-    used = 0
-    for e in range(len(short)):
-        for n in range(2):
-            if slot[short[e, n]] < 0:
-                slot[short[e, n]] = used
-                used += 1
-    around = np.empty((used, MANY), np.int64)
-    size = np.zeros(used, np.int64)
-    for f in range(len(corners)):
-        if corners[f, 0] < 0:
-            continue
-        for n in range(3):
-            at = slot[corners[f, n]]
-            if at >= 0:
-                if size[at] < MANY:
-                    around[at, size[at]] = f
-                size[at] += 1
+    slot, around, size = _faces_around(len(positions), corners, short)
     busy = np.zeros(len(corners), np.bool_)
     gone = 0
     for e in range(len(short)):
@@ -100,11 +84,14 @@ def _collapse(positions, corners, sides, source, short, shortest, originals):
         if not _is_whole(corners, sides, own, other, a, b):
             continue
         # The higher point goes to the lower: those of the original come first.
-        if _may_move(positions, corners, source, other, own, b, a, shortest):
-            stays, goes, faces = a, b, other
-        elif a >= originals and _may_move(positions, corners, source, own, other, a, b, shortest):
+        stays, goes, faces = a, b, other
+        fine = _may_move(positions, corners, source, other, own, b, a, shortest)
+        fine = fine and not _crosses(positions, corners, source, other, b, a, slot, around, size)
+        if not fine and a >= originals:
             stays, goes, faces = b, a, own
-        else:
+            fine = _may_move(positions, corners, source, own, other, a, b, shortest)
+            fine = fine and not _crosses(positions, corners, source, own, a, b, slot, around, size)
+        if not fine:
             continue
         for f in own:
             busy[f] = True
@@ -119,6 +106,40 @@ def _collapse(positions, corners, sides, source, short, shortest, originals):
                     corners[f, n] = stays
         gone += 1
     return gone
+
+
+@njit(cache=True)
+def _faces_around(count, corners, short):
+    """A slot for each point of a face at a short edge, the faces around it, up to MANY, and how many there are."""
+    slot = np.full(count, -1, np.int32)
+    used = 0
+    for e in range(len(short)):
+        for n in range(2):
+            if slot[short[e, n]] < 0:
+                slot[short[e, n]] = used
+                used += 1
+    first = used
+    for f in range(len(corners)):
+        if corners[f, 0] < 0:
+            continue
+        at_edge = False
+        for n in range(3):
+            at_edge |= 0 <= slot[corners[f, n]] < first
+        for n in range(3):
+            if at_edge and slot[corners[f, n]] < 0:
+                slot[corners[f, n]] = used
+                used += 1
+    around, size = np.empty((used, MANY), np.int64), np.zeros(used, np.int64)
+    for f in range(len(corners)):
+        if corners[f, 0] < 0:
+            continue
+        for n in range(3):
+            at = slot[corners[f, n]]
+            if at >= 0:
+                if size[at] < MANY:
+                    around[at, size[at]] = f
+                size[at] += 1
+    return slot, around, size
 
 
 @njit(cache=True)
@@ -144,14 +165,42 @@ def _is_whole(corners, sides, own, other, a, b):
             for g in own:
                 if g == f:
                     break
-                first = first and not (corners[g, 0] == v or corners[g, 1] == v or corners[g, 2] == v)
+                first = first and not _has(corners, g, v)
             if not first:
                 continue
             for g in other:
-                if corners[g, 0] == v or corners[g, 1] == v or corners[g, 2] == v:
+                if _has(corners, g, v):
                     beside += 1
                     break
-    return beside == shared
+    return beside == shared and _stays_closed(corners, sides, own, other, a, b)
+
+
+@njit(cache=True, inline="always")
+def _has(corners, face, v):
+    return corners[face, 0] == v or corners[face, 1] == v or corners[face, 2] == v
+
+
+@njit(cache=True)
+def _stays_closed(corners, sides, own, other, a, b):
+    """Whether around the one point that a and b become every edge still has two faces of each cell that meets there."""
+    ends = np.empty((4 * (len(own) + len(other)), 2), np.int64)
+    count = 0
+    for which in range(2):
+        for f in own if which == 0 else other:
+            if _has(corners, f, a) and _has(corners, f, b):
+                continue
+            for n in range(3):
+                for m in range(2):
+                    if corners[f, n] not in (a, b):
+                        ends[count, 0], ends[count, 1] = corners[f, n], sides[f, m]
+                        count += 1
+    for e in range(count):
+        same = 0
+        for o in range(count):
+            same += ends[o, 0] == ends[e, 0] and ends[o, 1] == ends[e, 1]
+        if same != 2:
+            return False
+    return True
 
 
 @njit(cache=True, inline="always")
@@ -193,6 +242,68 @@ def _may_move(positions, corners, source, faces, others, goes, stays, shortest):
         if dot < (TURN if height >= shortest else 0.0):
             return False
     return True
+
+
+@njit(cache=True)
+def _crosses(positions, corners, source, faces, goes, stays, slot, around, size):
+    """Whether a face that moves with `goes` to `stays` would cross one nearby, or a crack's face lie in the surface."""
+    new, near = np.empty((3, 3)), np.empty((3, 3))
+    names, others = np.empty(3, np.int64), np.empty(3, np.int64)
+    for f in faces:
+        if _has(corners, f, stays):
+            continue
+        for n in range(3):
+            names[n] = stays if corners[f, n] == goes else corners[f, n]
+            new[n] = positions[names[n]]
+        if source[f] < 0 and _in_one_plane(names, source, slot, around, size):
+            return True
+        for n in range(3):
+            at = slot[names[n]]
+            if size[at] > MANY:
+                return True
+            for g in around[at, : size[at]]:
+                if corners[g, 0] < 0 or g == f or (_has(corners, g, goes) and _has(corners, g, stays)):
+                    continue
+                for m in range(3):
+                    others[m] = stays if corners[g, m] == goes else corners[g, m]
+                    near[m] = positions[others[m]]
+                if _cross(new, names, near, others):
+                    return True
+    return False
+
+
+@njit(cache=True)
+def _in_one_plane(names, source, slot, around, size):
+    """Whether three points lie in one face of the original."""
+    for f in around[slot[names[0]], : size[slot[names[0]]]]:
+        count = 0
+        for n in range(1, 3):
+            for g in around[slot[names[n]], : size[slot[names[n]]]]:
+                if source[f] >= 0 and source[g] == source[f]:
+                    count += 1
+                    break
+        if count == 2:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _cross(one, its, two, other):
+    """Whether an edge of one triangle pierces the other; points that both have are left out."""
+    found = False
+    for n in range(3):
+        found = found or _edge_pierces(one, its, n, two, other) or _edge_pierces(two, other, n, one, its)
+    return found
+
+
+@njit(cache=True)
+def _edge_pierces(one, its, n, two, other):
+    """Whether the edge after corner n of the first triangle pierces the second."""
+    m = (n + 1) % 3
+    for x in range(3):
+        if its[n] == other[x] or its[m] == other[x]:
+            return False
+    return over(two, one[n]) * over(two, one[m]) < 0 and pierces(one[n], one[m], two) == 1
 
 
 @njit(cache=True, inline="always")
