@@ -255,7 +255,7 @@ def _crosses(positions, corners, source, faces, goes, stays, slot, around, size)
         for n in range(3):
             names[n] = stays if corners[f, n] == goes else corners[f, n]
             new[n] = positions[names[n]]
-        if source[f] < 0 and _in_one_plane(names, source, slot, around, size):
+        if source[f] < 0 and _on_surface(names, source, slot, around, size):
             return True
         for n in range(3):
             at = slot[names[n]]
@@ -273,18 +273,15 @@ def _crosses(positions, corners, source, faces, goes, stays, slot, around, size)
 
 
 @njit(cache=True)
-def _in_one_plane(names, source, slot, around, size):
-    """Whether three points lie in one face of the original."""
-    for f in around[slot[names[0]], : size[slot[names[0]]]]:
-        count = 0
-        for n in range(1, 3):
-            for g in around[slot[names[n]], : size[slot[names[n]]]]:
-                if source[f] >= 0 and source[g] == source[f]:
-                    count += 1
-                    break
-        if count == 2:
-            return True
-    return False
+def _on_surface(names, source, slot, around, size):
+    """Whether three points all lie on the body's surface: a crack's face between them may lie in it."""
+    count = 0
+    for n in range(3):
+        for f in around[slot[names[n]], : size[slot[names[n]]]]:
+            if source[f] >= 0:
+                count += 1
+                break
+    return count == 3
 
 
 @njit(cache=True)
