@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepfracture.carve import encode, segment, voronoi_pattern
+from deepfracture.carve import cuts_of, encode, segment, voronoi_pattern
 from deepfracture.geometry import builtin, signed_distance
-from deepfracture.learn import Config, Model, Normaliser, Way, network, predictions
+from deepfracture.learn import Config, Model, Normaliser, Way, field, network, predictions
 from deepfracture.learn.choice import Choice, Similarity
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.lattice import MOST_NODES, Lattice
@@ -170,6 +170,89 @@ def test_coarse_and_full_evaluation_agree() -> None:
         assert np.median(shift) < 0.05
 
 
+def read_everywhere(body: Body, scores: np.ndarray) -> np.ndarray:
+    """Every spline at every voxel, in float32, shape (r, r, r, channels)."""
+    lattice = body.lattice
+    near = np.full((*lattice.number.shape, scores.shape[1]), np.nan, np.float32)
+    near[lattice.number >= 0] = scores
+    for axis in range(3):
+        a, b, c = (np.take(near, lattice.cell + step, axis) for step in range(3))
+        u, v, w = lattice.weights.T.reshape(3, *(-1 if n == axis else 1 for n in range(4)))
+        near = u * a + v * b + w * c
+    return near
+
+
+def plain_labels(body: Body, scores: np.ndarray) -> np.ndarray:
+    """The greatest of all splines at each voxel inside, crumbs swept, with a border of 0."""
+    everywhere = np.nan_to_num(read_everywhere(body, scores), nan=-np.inf)
+    labels = np.pad(np.where(body.surface > 0, everywhere.argmax(axis=-1) + 1, 0).astype(np.int16), 1)
+    r = body.grid.resolution
+    field._sweep_crumbs(labels, body.runs, max(2, round(field.CRUMB * r**3)), scores.shape[1])
+    return labels
+
+
+def plain_distance(body: Body, scores: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Distance to the cracks [voxels]: of planes beside them, beyond by all four sweeps over all voxels."""
+    everywhere = np.nan_to_num(read_everywhere(body, scores))
+    inner = tuple(np.moveaxis(np.indices(body.grid.shape), 0, -1)[body.surface > 0].T)
+    mine, total = labels[tuple(axis + 1 for axis in inner)], np.zeros(len(inner[0]))
+    for axis in range(3):
+        nearest = np.full(len(total), 2.0)
+        for step in (-1, 1):
+            there = tuple(x + step * (n == axis) for n, x in enumerate(inner))
+            other = labels[tuple(x + 1 for x in there)]
+            meets = (other > 0) & (other != mine)
+            here, beyond = ([x[meets] for x in where] for where in (inner, there))
+            ahead, behind = (
+                np.maximum(everywhere[(*at, a[meets] - 1)] - everywhere[(*at, b[meets] - 1)], 0)
+                for at, a, b in ((here, mine, other), (beyond, other, mine))
+            )
+            both = ahead + behind
+            crossing = np.divide(ahead, both, out=np.full_like(both, 0.5), where=both > 0)
+            nearest[meets] = np.minimum(nearest[meets], np.maximum(crossing, field.NEAREST))
+        total += np.where(nearest < 2, 1 / nearest**2, 0)
+    distance = np.full(labels.shape, np.float32(field.FAR))
+    distance[tuple(axis + 1 for axis in inner)] = np.where(total > 0, total, field.FAR**-2) ** -0.5
+    flat, side = distance.reshape(-1), labels.shape[0]
+    inverse = np.float32(1) / np.float32(body.grid.spacing)
+    for turn in range(4):
+        for i in np.unique(body.runs[:, 0])[:: -1 if turn % 2 else 1]:
+            of_plane = body.runs[body.runs[:, 0] == i]
+            for _, j, first, end in of_plane[:: 1 if turn in (0, 3) else -1]:
+                start = ((i + 1) * side + j + 1) * side + 1
+                for k in (*range(first, end), *range(end - 1, first - 1, -1)):
+                    field._update(flat, start + k, side, body.surface[i, j, k] * inverse)
+    return distance
+
+
+@pytest.mark.parametrize("shape", ["ball", "bar", "plate", "two balls"])
+def test_shortcuts_change_nothing(shape: str) -> None:
+    body = somewhere(shape)
+    drawn = model(body, seed=len(shape))
+    for code in drawn.codebook[:2]:
+        scores = drawn.waves @ network.compose(drawn.weights, code[None], np)[0]
+        found, labels = volume_of(body, scores), plain_labels(body, scores)
+        assert found.cuts is not None and len(np.unique(labels)) > 2
+        assert (found.cuts == cuts_of(labels[1:-1, 1:-1, 1:-1])).all()
+        distance = plain_distance(body, scores, labels)[1:-1, 1:-1, 1:-1]
+        wanted = np.where(body.surface > 0, np.minimum(body.surface, distance * body.grid.spacing), body.surface)
+        assert np.abs(found.values - wanted).max() < 1e-4 * body.grid.spacing
+
+
+def somewhere(shape: str) -> Body:
+    """A small body off the middle of a grid."""
+    grid = Grid(32)
+    place = grid.centres() - 0.2
+    if shape == "ball":
+        surface = 0.5 - np.linalg.norm(place, axis=-1)
+    elif shape == "two balls":
+        surface = 0.33 - np.minimum(*(np.linalg.norm(place - side, axis=-1) for side in ([-0.4, 0, 0], [0.3, 0.2, 0])))
+    else:
+        half = {"bar": [0.7, 0.2, 0.2], "plate": [0.08, 0.5, 0.6]}[shape]
+        surface = (np.array(half) - np.abs(place)).min(axis=-1)
+    return Body.of(grid, surface.astype(np.float32))
+
+
 def test_a_model_divides_alike_at_any_resolution() -> None:
     coarse, fine = model(ball(32)), model(ball(64))
     for code in coarse.codebook[:2]:
@@ -190,6 +273,7 @@ def test_a_models_resolution_can_be_changed() -> None:
     again, first = (each.decode(own.codebook[0]).values for each in (finer.at(shape, 32), own))
     close = own.body.surface > -0.25
     assert again[close] == pytest.approx(first[close])
+    assert own.at(shape, 64) is finer  # the distances are taken once
 
 
 def test_the_same_code_gives_the_same_bytes() -> None:

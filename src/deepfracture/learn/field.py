@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.carve import cuts_of
+from deepfracture.carve.encode import mark_parted
 from deepfracture.learn.lattice import Lattice
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 
@@ -78,14 +78,20 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
         raise BadInput(f"scores must have shape ({len(body.nodes)}, channels), got {scores.shape}")
     scores = np.ascontiguousarray(scores, np.float32)
     r, lattice = body.grid.resolution, body.lattice
-    channel = np.full((r + 2, r + 2, r + 2), -1, np.int16)
-    _divide(scores, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, channel)
-    _sweep_crumbs(channel, body.runs, max(2, round(CRUMB * r**3)), scores.shape[1])
-    distance = np.full(channel.shape, np.float32(FAR))
-    _at_cracks(channel, scores, body.runs, lattice.number, lattice.cell, lattice.weights, distance)
-    _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes)
-    values = _nearer(body.surface, distance, body.runs, np.float32(body.grid.spacing))
-    return Volume(body.grid, values, cuts_of(channel[1:-1, 1:-1, 1:-1].astype(np.int32) + 1))
+    labels = np.zeros((r + 2, r + 2, r + 2), np.int16)
+    _divide(
+        scores, _leaders(scores), lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels
+    )
+    _sweep_crumbs(labels, body.runs, max(2, round(CRUMB * r**3)), scores.shape[1])
+    cuts = np.zeros((r, r, r), np.uint8)
+    beside = _part(labels, body.runs, cuts)
+    distance = np.full(labels.shape, np.float32(FAR))
+    _at_cracks(labels, scores, beside, lattice.number, lattice.cell, lattice.weights, distance)
+    due = np.full(distance.size, False)
+    _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes, beside, due)
+    values = body.surface.copy()
+    _take_nearer(values, distance, body.runs, np.float32(body.grid.spacing))
+    return Volume(body.grid, values, cuts)
 
 
 @njit(cache=True)
@@ -111,8 +117,22 @@ def _runs(surface):
 
 
 @njit(cache=True)
-def _divide(scores, cells, number, start, weights, surface, channel):
-    """Give each voxel inside to the channel of the greatest spline.
+def _leaders(scores):
+    """The greatest channel at each node, the first of equals, shape (m,)."""
+    leaders = np.empty(len(scores), np.int16)
+    for node in range(len(scores)):
+        row = scores[node]
+        leader = 0
+        for m in range(1, len(row)):
+            if row[m] > row[leader]:
+                leader = m
+        leaders[node] = leader
+    return leaders
+
+
+@njit(cache=True)
+def _divide(scores, leaders, cells, number, start, weights, surface, labels):
+    """Give each voxel inside to the channel of the greatest spline, as the label 1 above the channel.
 
     A spline lies between the least and the greatest of the coefficients that it depends on. So a channel
     whose coefficients are all below those of another has no voxel of the cell; mostly one is left."""
@@ -125,12 +145,12 @@ def _divide(scores, cells, number, start, weights, surface, channel):
         cell = cells[n, 0], cells[n, 1], cells[n, 2]
         low = start[cell[0]], start[cell[1]], start[cell[2]]
         high = start[cell[0] + 1], start[cell[1] + 1], start[cell[2] + 1]
-        count = _rivals(scores, number, cell, ahead, rivals)
+        count = _rivals(scores, leaders, number, cell, ahead, rivals)
         for x in range(low[0], high[0]):
             for y in range(low[1], high[1]):
                 for z in range(low[2], high[2]):
                     if surface[x, y, z] > 0:
-                        channel[x + 1, y + 1, z + 1] = rivals[0]
+                        labels[x + 1, y + 1, z + 1] = rivals[0] + 1
         if count == 1:
             continue
         best[:] = -np.inf
@@ -139,39 +159,43 @@ def _divide(scores, cells, number, start, weights, surface, channel):
                 for b in range(3):
                     for c in range(3):
                         near[a, b, c] = scores[number[cell[0] + a, cell[1] + b, cell[2] + c], rivals[m]]
-            _raise(near, rivals[m], weights, low, high, best, surface, channel)
+            _raise(near, rivals[m] + 1, weights, low, high, best, surface, labels)
 
 
 @njit(cache=True)
-def _rivals(scores, number, cell, ahead, rivals):
-    """Channels that can be the greatest somewhere in the cell, in `rivals`; returns how many."""
-    channels = scores.shape[1]
-    middle = scores[number[cell[0] + 1, cell[1] + 1, cell[2] + 1]]
-    leader = 0
-    for m in range(1, channels):
-        if middle[m] > middle[leader]:
-            leader = m
-    ahead[:] = -np.inf
+def _rivals(scores, leaders, number, cell, ahead, rivals):
+    """Channels that can be the greatest somewhere in the cell, in `rivals`; returns how many.
+
+    Nothing is ahead of the leader of the cell at a node where it leads too, and mostly it leads at all."""
+    leader = leaders[number[cell[0] + 1, cell[1] + 1, cell[2] + 1]]
+    rivals[0] = leader
+    contested = False
     for a in range(3):
         for b in range(3):
             for c in range(3):
-                row = scores[number[cell[0] + a, cell[1] + b, cell[2] + c]]
+                node = number[cell[0] + a, cell[1] + b, cell[2] + c]
+                if leaders[node] == leader:
+                    continue
+                if not contested:
+                    ahead[:] = -np.inf
+                    contested = True
+                row = scores[node]
                 bar = row[leader]
-                for m in range(channels):
+                for m in range(len(row)):
                     over = row[m] - bar
                     ahead[m] = over if over > ahead[m] else ahead[m]
-    rivals[0] = leader
     count = 1
-    for m in range(channels):
-        if ahead[m] > 0 and m != leader:
-            rivals[count] = m
-            count += 1
+    if contested:
+        for m in range(len(ahead)):
+            if ahead[m] > 0 and m != leader:
+                rivals[count] = m
+                count += 1
     return count
 
 
 @njit(cache=True)
-def _raise(near, rival, weights, low, high, best, surface, channel):
-    """Give the voxels of a cell where the spline of `rival` is above `best` to it, an axis at a time."""
+def _raise(near, label, weights, low, high, best, surface, labels):
+    """Give the voxels of a cell where the spline `near` is above `best` to its label, an axis at a time."""
     plane = np.empty((3, 3), np.float32)
     for x in range(low[0], high[0]):
         for b in range(3):
@@ -189,13 +213,13 @@ def _raise(near, rival, weights, low, high, best, surface, channel):
                 if value > best[x - low[0], y - low[1], z - low[2]]:
                     best[x - low[0], y - low[1], z - low[2]] = value
                     if surface[x, y, z] > 0:
-                        channel[x + 1, y + 1, z + 1] = rival
+                        labels[x + 1, y + 1, z + 1] = label
 
 
 @njit(cache=True)
-def _sweep_crumbs(channel, runs, smallest, channels):
-    """Give connected pieces of fewer than `smallest` voxels to the channel that surrounds them most."""
-    parts, piece = _pieces(channel, runs)
+def _sweep_crumbs(labels, runs, smallest, channels):
+    """Give connected pieces of fewer than `smallest` voxels to the label that surrounds them most."""
+    parts, piece = _pieces(labels, runs)
     size = np.zeros(len(parts), np.int64)
     last = np.arange(len(parts))
     after = np.full(len(parts), -1)
@@ -205,47 +229,47 @@ def _sweep_crumbs(channel, runs, smallest, channels):
         if n != first:
             after[last[first]] = n
             last[first] = n
-    votes = np.empty(channels, np.int64)
+    votes = np.empty(channels + 1, np.int64)
     for first in range(len(parts)):
         if piece[first] != first or size[first] >= smallest:
             continue
         votes[:] = 0
         n = first
         while n >= 0:
-            _vote(channel, parts[n], votes)
+            _vote(labels, parts[n], votes)
             n = after[n]
         if votes.max() > 0:
             n = first
             while n >= 0:
-                channel[parts[n, 0], parts[n, 1], parts[n, 2] : parts[n, 3]] = votes.argmax()
+                labels[parts[n, 0], parts[n, 1], parts[n, 2] : parts[n, 3]] = votes.argmax()
                 n = after[n]
 
 
 @njit(cache=True)
-def _vote(channel, part, votes):
-    """Count the other channels beside a run of one."""
+def _vote(labels, part, votes):
+    """Count the other labels beside a run of one."""
     i, j = part[0], part[1]
-    mine = channel[i, j, part[2]]
+    mine = labels[i, j, part[2]]
     for k in range(part[2], part[3]):
         for other in (
-            channel[i - 1, j, k],
-            channel[i + 1, j, k],
-            channel[i, j - 1, k],
-            channel[i, j + 1, k],
-            channel[i, j, k - 1],
-            channel[i, j, k + 1],
+            labels[i - 1, j, k],
+            labels[i + 1, j, k],
+            labels[i, j - 1, k],
+            labels[i, j + 1, k],
+            labels[i, j, k - 1],
+            labels[i, j, k + 1],
         ):
-            if other >= 0 and other != mine:
+            if other > 0 and other != mine:
                 votes[other] += 1
 
 
 @njit(cache=True)
-def _pieces(channel, runs):
-    """Runs of one channel (i, j, first k, end k in the padded grid), shape (n, 4), and for each an earlier
+def _pieces(labels, runs):
+    """Runs of one label (i, j, first k, end k in the padded grid), shape (n, 4), and for each an earlier
     one that it hangs together with across faces, or itself, shape (n,)."""
     parts = np.empty((np.sum(runs[:, 3] - runs[:, 2]), 4), np.int32)
     piece = np.empty(len(parts), np.int32)
-    side = channel.shape[1]
+    side = labels.shape[1]
     start = np.zeros(side * side + 1, np.int32)  # of each line, in `parts`
     line = count = 0
     for n in range(len(runs)):
@@ -256,7 +280,7 @@ def _pieces(channel, runs):
         k, end = runs[n, 2] + 1, runs[n, 3] + 1
         while k < end:
             stop = k + 1
-            while stop < end and channel[i, j, stop] == channel[i, j, k]:
+            while stop < end and labels[i, j, stop] == labels[i, j, k]:
                 stop += 1
             parts[count] = i, j, k, stop
             piece[count] = count
@@ -264,7 +288,7 @@ def _pieces(channel, runs):
                 for m in range(start[other], start[other + 1]):
                     if parts[m, 2] >= stop:
                         break
-                    if parts[m, 3] > k and channel[parts[m, 0], parts[m, 1], parts[m, 2]] == channel[i, j, k]:
+                    if parts[m, 3] > k and labels[parts[m, 0], parts[m, 1], parts[m, 2]] == labels[i, j, k]:
                         a, b = _first(piece, m), _first(piece, count)
                         piece[max(a, b)] = min(a, b)
             count += 1
@@ -281,37 +305,55 @@ def _first(piece, n):
 
 
 @njit(cache=True)
-def _at_cracks(channel, scores, runs, number, cell, weights, distance):
-    """Distance to the crack [voxels] for voxels beside one.
+def _part(labels, runs, cuts):
+    """Mark the `cuts` (zero on entry); returns the voxels inside that one parts from another, shape (n, 3)."""
+    beside = np.empty((np.sum(runs[:, 3] - runs[:, 2]), 3), np.int32)
+    found = np.empty(cuts.shape[2], np.uint8)
+    count = 0
+    for n in range(len(runs)):
+        i, j, first, end = runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3]
+        line = labels[i + 1, j + 1, first + 1 : end + 1]
+        bits = cuts[i, j, first:end]
+        mark_parted(line, labels[i + 2, j + 1, first + 1 : end + 1], bits, 1)
+        mark_parted(line, labels[i + 1, j + 2, first + 1 : end + 1], bits, 2)
+        mark_parted(line, labels[i + 1, j + 1, first + 2 : end + 2], bits, 4)
+        found[: end - first] = bits
+        mark_parted(line, labels[i, j + 1, first + 1 : end + 1], found, 1)
+        mark_parted(line, labels[i + 1, j, first + 1 : end + 1], found, 2)
+        mark_parted(line, labels[i + 1, j + 1, first:end], found, 4)
+        for k in range(first, end):
+            if found[k - first]:
+                beside[count, 0], beside[count, 1], beside[count, 2] = i, j, k
+                count += 1
+    return beside[:count].copy()
+
+
+@njit(cache=True)
+def _at_cracks(labels, scores, beside, number, cell, weights, distance):
+    """Distance to the crack [voxels] for the voxels `beside` one.
 
     Along an edge the crack lies where the two channels are equal, linearly; crossings t along the axes
     are those of a plane at the distance (sum of 1 / t^2)^(-1/2)."""
-    for n in range(len(runs)):
-        i, j = runs[n, 0], runs[n, 1]
-        for k in range(runs[n, 2], runs[n, 3]):
-            mine = channel[i + 1, j + 1, k + 1]
-            alike = channel[i + 1, j + 1, k] == mine and channel[i + 1, j + 1, k + 2] == mine
-            alike = alike and channel[i + 1, j, k + 1] == mine and channel[i + 1, j + 2, k + 1] == mine
-            if alike and channel[i, j + 1, k + 1] == mine and channel[i + 2, j + 1, k + 1] == mine:
-                continue
-            total = np.float32(0.0)
-            known, ahead = mine, np.float32(0.0)
-            for axis in range(3):
-                nearest = np.float32(2.0)
-                for step in (-1, 1):
-                    x, y, z = i + step * (axis == 0), j + step * (axis == 1), k + step * (axis == 2)
-                    other = channel[x + 1, y + 1, z + 1]
-                    if other < 0 or other == mine:
-                        continue
-                    if other != known:
-                        known, ahead = other, _ahead(scores, number, cell, weights, mine, other, i, j, k)
-                    behind = _ahead(scores, number, cell, weights, other, mine, x, y, z)
-                    crossing = ahead / (ahead + behind) if ahead + behind > 0 else np.float32(0.5)
-                    nearest = min(nearest, max(crossing, np.float32(NEAREST)))
-                if nearest < 2:
-                    total += 1 / (nearest * nearest)
-            if total > 0:
-                distance[i + 1, j + 1, k + 1] = 1 / np.sqrt(total)
+    for n in range(len(beside)):
+        i, j, k = beside[n]
+        mine = labels[i + 1, j + 1, k + 1]
+        total = np.float32(0.0)
+        known, ahead = mine, np.float32(0.0)
+        for axis in range(3):
+            nearest = np.float32(2.0)
+            for step in (-1, 1):
+                x, y, z = i + step * (axis == 0), j + step * (axis == 1), k + step * (axis == 2)
+                other = labels[x + 1, y + 1, z + 1]
+                if other == 0 or other == mine:
+                    continue
+                if other != known:
+                    known, ahead = other, _ahead(scores, number, cell, weights, mine - 1, other - 1, i, j, k)
+                behind = _ahead(scores, number, cell, weights, other - 1, mine - 1, x, y, z)
+                crossing = ahead / (ahead + behind) if ahead + behind > 0 else np.float32(0.5)
+                nearest = min(nearest, max(crossing, np.float32(NEAREST)))
+            if nearest < 2:
+                total += 1 / (nearest * nearest)
+        distance[i + 1, j + 1, k + 1] = 1 / np.sqrt(total)
 
 
 @njit(cache=True)
@@ -329,37 +371,51 @@ def _ahead(scores, number, cell, weights, mine, other, i, j, k):
 
 
 @njit(cache=True)
-def _sweep(distance, surface, spacing, runs, planes):
+def _sweep(distance, surface, spacing, runs, planes, beside, due):
     """Solve the eikonal equation |grad d| = 1 from the voxels known (Zhao 2005, fast sweeping), unit spacing.
 
     Voxels nearer to the surface than to any crack by SLACK are left out: the shortest way from a crack to
-    a voxel that needs its distance leads through none of them."""
+    a voxel that needs its distance leads through none of them. A voxel none of whose neighbours has changed
+    since its last turn is passed over (Bak, McLaughlin and Renzi 2010), which changes nothing but the time."""
     side = np.int64(surface.shape[0] + 2)
     last = len(planes) - 2
     inverse = np.float32(1.0) / spacing
-    changed = np.zeros(side * side, np.int64)  # when each line did, counted in runs
-    swept = np.full(len(runs), -1)
-    clock = 0
+    lines = np.zeros(side * side, np.bool_)  # those that hold voxels `due`, which a neighbour may lower
+    for n in range(len(beside)):
+        line = (beside[n, 0] + 1) * side + beside[n, 1] + 1
+        _announce(distance, line * side + beside[n, 2] + 1, line, side, due, lines)
     for turn in range(4):
         for layer in range(last + 1):
             i = layer if turn % 2 == 0 else last - layer
             for m in range(planes[i], planes[i + 1]):
                 n = m if turn in (0, 3) else planes[i] + planes[i + 1] - 1 - m
-                j, first, end = np.int64(runs[n, 1]), np.int64(runs[n, 2]), np.int64(runs[n, 3])
-                line = (i + 1) * side + j + 1
-                newest = max(changed[line - 1], changed[line], changed[line + 1])
-                if max(newest, changed[line - side], changed[line + side]) < swept[n]:
-                    continue
-                clock += 1
-                swept[n] = clock
-                start = line * side + 1
-                moved = False
-                for k in range(first, end):
-                    moved |= _update(distance, start + k, side, surface[i, j, k] * inverse)
-                for k in range(end - 1, first - 1, -1):
-                    moved |= _update(distance, start + k, side, surface[i, j, k] * inverse)
-                if moved:
-                    changed[line] = clock
+                line = (i + 1) * side + runs[n, 1] + 1
+                if lines[line]:
+                    start, near = line * side + 1, surface[i, runs[n, 1]]
+                    for k in range(runs[n, 2], runs[n, 3]):
+                        if due[start + k]:
+                            _take_turn(distance, start + k, line, side, near[k] * inverse, due, lines)
+                    for k in range(runs[n, 3] - 1, runs[n, 2] - 1, -1):
+                        if due[start + k]:
+                            _take_turn(distance, start + k, line, side, near[k] * inverse, due, lines)
+
+
+@njit(cache=True, inline="always")
+def _take_turn(distance, voxel, line, side, surface, due, lines):
+    due[voxel] = False
+    if _update(distance, voxel, side, surface):
+        _announce(distance, voxel, line, side, due, lines)
+
+
+@njit(cache=True, inline="always")
+def _announce(distance, voxel, line, side, due, lines):
+    """Let the neighbours that are farther than `voxel` have their turn."""
+    here = distance[voxel]
+    for step, across in ((1, 0), (side, 1), (side * side, side)):
+        if distance[voxel - step] > here:
+            due[voxel - step] = lines[line - across] = True
+        if distance[voxel + step] > here:
+            due[voxel + step] = lines[line + across] = True
 
 
 @njit(cache=True, inline="always")
@@ -388,11 +444,10 @@ def _update(distance, voxel, side, surface):
 
 
 @njit(cache=True)
-def _nearer(surface, distance, runs, spacing):
-    """The smaller of the distances to surface and crack [m] inside, that to the surface outside."""
-    values = surface.copy()
+def _take_nearer(values, distance, runs, spacing):
+    """Lower the distance to the surface [m] inside to that to the crack where that is smaller."""
     for n in range(len(runs)):
         i, j = runs[n, 0], runs[n, 1]
         for k in range(runs[n, 2], runs[n, 3]):
-            values[i, j, k] = min(surface[i, j, k], distance[i + 1, j + 1, k + 1] * spacing)
-    return values
+            crack = distance[i + 1, j + 1, k + 1] * spacing
+            values[i, j, k] = crack if crack < values[i, j, k] else values[i, j, k]

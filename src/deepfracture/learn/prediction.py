@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -63,12 +64,18 @@ class Model:
         Args:
             shape: The shape that it was trained on, for the distance to the surface; outside it is exact up
                 to REACH and no larger than that, which saves most of the time.
-        """
-        from deepfracture.geometry import signed_distance_lattice
 
-        grid = Grid(resolution)
-        surface = signed_distance_lattice(shape.mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape, outside=REACH)
-        return replace(self, body=Body.of(grid, surface))
+        The distances take seconds at high resolutions, so the model is kept as long as this one and the shape live.
+        """
+        models = self._elsewhere.setdefault(shape, {})
+        if resolution not in models:
+            models[resolution] = replace(self, body=_body(shape, Grid(resolution)))
+        return models[resolution]
+
+    @cached_property
+    def _elsewhere(self) -> WeakKeyDictionary[Shape, dict[int, Model]]:
+        """This model at other resolutions."""
+        return WeakKeyDictionary()
 
     def fits(self, shape: Shape) -> bool:
         """Whether `shape` is the one that the model was trained on, however it is tessellated."""
@@ -77,6 +84,13 @@ class Model:
     def decode(self, code: Floats32) -> Volume:
         """The GS-SDF of one latent code, shape (code_size,)."""
         return volume_of(self.body, self.waves @ network.compose(self.weights, code[None], np)[0])
+
+
+def _body(shape: Shape, grid: Grid) -> Body:
+    from deepfracture.geometry import signed_distance_lattice
+
+    surface = signed_distance_lattice(shape.mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape, outside=REACH)
+    return Body.of(grid, surface)
 
 
 @dataclass(frozen=True)
