@@ -87,6 +87,42 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
+class Finish:
+    """What part of a surface is painted with: one material of the user's file."""
+
+    name: str = ""
+    """As in the file; empty: it has none."""
+    colour: tuple[int, int, int] | None = None
+    """sRGB, 0..255; None: nobody said."""
+    texture: bytes | None = None
+    """A whole PNG or JPEG file that `Appearance.uv` looks up, repeated beyond its edges; takes the colour's place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """How the m faces of a mesh look: what each corner has, and what each face is painted with."""
+
+    finish: Labels
+    """For each face its index in `finishes`, shape (m,)."""
+    finishes: tuple[Finish, ...] = (Finish(),)
+    normals: Floats32 | None = None
+    """Outward unit normals of the corners, shape (m, 3, 3); None: by the creases of the mesh."""
+    uv: Floats32 | None = None
+    """Texture coordinates of the corners, v upward, shape (m, 3, 2)."""
+    colours: NDArray[np.uint8] | None = None
+    """sRGB and opacity of the corners, 0..255, which tint the finish, shape (m, 3, 4)."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "finish", _array("finish", self.finish, np.int32, (None,)))
+        m = len(self.finish)
+        for name, dtype, width in (("normals", np.float32, 3), ("uv", np.float32, 2), ("colours", np.uint8, 4)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _array(name, getattr(self, name), dtype, (m, 3, width)))
+        if m and not 0 <= self.finish.min() <= self.finish.max() < len(self.finishes):
+            raise BadInput(f"finish must index {len(self.finishes)} finishes, got {self.finish.max()}")
+
+
+@dataclass(frozen=True, eq=False)
 class Shape:
     """A closed mesh of one body in its body frame: longest side 2, box centred on the origin."""
 
@@ -100,11 +136,16 @@ class Shape:
     """Metres per body-frame unit: 1, except for a fragment that may break again."""
     whole: Shape | None = None
     """What it is a fragment of."""
+    appearance: Appearance | None = None
+    """How its faces look; None: plain."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", _array("centre", self.centre, float, (3,)))
         if not self.scale > 0 or not self.size > 0:
             raise BadInput(f"scale and size must be positive, got {self.scale} and {self.size}")
+        if self.appearance is not None and len(self.appearance.finish) != len(self.mesh.faces):
+            have, want = len(self.appearance.finish), len(self.mesh.faces)
+            raise BadInput(f"appearance must be that of the mesh's {want} faces, got {have}")
 
     def to_user(self, points: ArrayLike) -> Floats:
         """Body-frame points in the coordinates of the user's file."""
@@ -330,6 +371,8 @@ class Track:
     """Origin of the mesh frame in the world, frames start .. start+n-1, shape (n, 3)."""
     quats_wxyz: Floats
     """Rotation world_from_body, shape (n, 4)."""
+    whole: Shape | None = None
+    """The shape that it is, or, for fragments, that `source` refers to: it knows how the surface looks."""
 
     def __post_init__(self) -> None:
         n = len(self.positions)

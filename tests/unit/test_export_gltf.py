@@ -1,6 +1,7 @@
 """The animated GLB says what the recording says."""
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from deepfracture.export.motion import pose
 from deepfracture.types import Recording, Track
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
-DTYPES = {5126: np.float32, 5125: np.uint32}
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+painted = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "painted.py"))
+DTYPES = {5126: np.float32, 5125: np.uint32, 5123: np.uint16}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 class Reader:
@@ -161,3 +163,114 @@ def test_other_readers_open_it(recording, tmp_path):
     write_glb(recording, tmp_path / "a.glb")
     scene = trimesh.load(tmp_path / "a.glb")
     assert len(scene.graph.nodes_geometry) >= 5
+
+
+# What the user's file is painted with.
+
+
+@pytest.fixture(scope="module")
+def cube(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cube")
+    shape, fragments = painted["broken_cube"](folder)
+    write_glb(painted["filmed"](shape, fragments), folder / "a.glb")
+    return folder, shape, fragments
+
+
+def primitives(reader, name):
+    """Of a body: material, positions, normals, texture coordinates of the corners."""
+    for primitive in reader.doc.meshes[reader.doc.nodes[reader.nodes[name]].mesh].primitives:
+        index = reader.values(primitive.indices)[:, 0]
+        about = (primitive.attributes.POSITION, primitive.attributes.NORMAL, primitive.attributes.TEXCOORD_0)
+        yield reader.doc.materials[primitive.material], *(reader.values(a)[index] for a in about)
+
+
+def test_fragments_keep_the_texture_where_it_was(cube):
+    folder, _, fragments = cube
+    reader = Reader(folder / "a.glb")
+    seen = set()
+    for name in ("cube", *(f"fragment_{k:03d}" for k in range(len(fragments)))):
+        for material, places, normals, uv in primitives(reader, name):
+            if material.name == "inner":
+                continue
+            seen.add(material.name)
+            assert np.abs(np.abs(normals).max(axis=1) - 1).max() < 1e-6  # the cube's own, also along the cracks
+            want = painted["expected_uv"](places, normals)
+            assert np.abs(np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1) - want).max() < 1e-5
+    assert seen == {"glaze", "wax"}
+
+
+def test_the_stone_inside_has_a_material_of_its_own(cube):
+    folder, _, fragments = cube
+    reader = Reader(folder / "a.glb")
+    assert sorted(m.name for m in reader.doc.materials) == ["glaze", "inner", "wax"]
+    for k, piece in enumerate(fragments):
+        inside = [p for p in primitives(reader, f"fragment_{k:03d}") if p[0].name == "inner"]
+        ((material, places, _, uv),) = inside
+        assert len(places) == 3 * (piece.source < 0).sum()
+        assert material.pbrMetallicRoughness.baseColorTexture is None
+        # Metres: distances in the plane are never longer than in space, and for most faces hardly shorter.
+        flat = np.linalg.norm(np.diff(uv.reshape(-1, 3, 2), axis=1), axis=2)
+        space = np.linalg.norm(np.diff(places.reshape(-1, 3, 3), axis=1), axis=2)
+        assert (flat <= space + 1e-6).all() and flat.sum() > 0.7 * space.sum()
+
+
+def test_the_texture_is_stored_once_as_it_was_written(cube):
+    folder, _, _ = cube
+    reader = Reader(folder / "a.glb")
+    (image,) = reader.doc.images
+    view = reader.doc.bufferViews[image.bufferView]
+    stored = reader.blob[view.byteOffset : view.byteOffset + view.byteLength]
+    assert stored == (folder / "tiles.png").read_bytes() and image.mimeType == "image/png"
+    colours = {m.name: m.pbrMetallicRoughness for m in reader.doc.materials}
+    assert colours["glaze"].baseColorTexture.index == 0 and colours["glaze"].baseColorFactor == [1, 1, 1, 1]
+    assert colours["wax"].baseColorTexture is None and colours["wax"].baseColorFactor == [1, 0, 0, 1]
+
+
+def test_trimesh_finds_texture_and_coordinates(cube):
+    import trimesh
+
+    folder, _, fragments = cube
+    scene = trimesh.load_scene(folder / "a.glb")
+    glazed = [m for m in scene.geometry.values() if m.visual.material.name == "glaze"]
+    assert len(glazed) > 2
+    for mesh in glazed:
+        assert mesh.visual.material.baseColorTexture.size == (16, 16)
+        want = painted["expected_uv"](mesh.vertices, mesh.vertex_normals)
+        assert np.abs(mesh.visual.uv - want).max() < 1e-5
+    inner = [m for m in scene.geometry.values() if m.visual.material.name == "inner"]
+    assert len(inner) == len(fragments)
+    assert all(m.visual.uv.shape == (len(m.vertices), 2) for m in inner)
+
+
+def test_colours_tint_the_outside_only_and_are_linear_light(cube, tmp_path):
+    _, shape, fragments = cube
+    grey = np.full((len(shape.mesh.faces), 3, 4), [188, 188, 188, 255], np.uint8)
+    tinted = replace(shape, appearance=replace(shape.appearance, uv=None, colours=grey))
+    write_glb(painted["filmed"](tinted, fragments), tmp_path / "a.glb")
+    reader = Reader(tmp_path / "a.glb")
+    for mesh in reader.doc.meshes[1:]:
+        for primitive in mesh.primitives:
+            inner = reader.doc.materials[primitive.material].name == "inner"
+            assert (primitive.attributes.COLOR_0 is None) == inner
+            if not inner:
+                light = reader.values(primitive.attributes.COLOR_0) / 65535
+                assert np.abs(light - [0.503, 0.503, 0.503, 1]).max() < 1e-3
+
+
+def test_a_file_can_be_broken_again_from_what_was_written(cube, tmp_path):
+    """What we write, we read with the same looks: the whole cube of the first frame."""
+    from deepfracture.export.gltf import surface_glb
+    from deepfracture.export.surface import surfaces
+    from deepfracture.geometry import load_shape
+
+    _, shape, _ = cube
+    glaze = surfaces(shape.mesh, None, whole=shape)[0]
+    everything = replace(shape, appearance=replace(shape.appearance, finish=np.zeros(12, int)))
+    (whole,) = surfaces(shape.mesh, None, whole=everything)
+    assert whole.finish is glaze.finish
+    (tmp_path / "cube.glb").write_bytes(surface_glb(whole))
+    again = load_shape(str(tmp_path / "cube.glb"))
+    flat = np.repeat(again.mesh.area_vectors, 3, axis=0)
+    want = painted["expected_uv"](again.mesh.triangles.reshape(-1, 3), flat)
+    assert np.abs(again.appearance.uv.reshape(-1, 2) - want).max() < 1e-6
+    assert again.appearance.finishes[0].texture == glaze.finish.texture

@@ -1,6 +1,7 @@
 """Camera, rasteriser, stills and film."""
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ from deepfracture.export import before_hit_after, exploded, write_film
 from deepfracture.export.camera import frame_action, frame_points
 from deepfracture.export.film import film_frames
 from deepfracture.export.studio import RecordingStudio
-from deepfracture.types import Recording
+from deepfracture.types import Appearance, Recording
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
+painted = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "painted.py"))
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +106,51 @@ def test_a_recording_without_floor_or_break(recording, tmp_path):
     assert reddish(strip[:, :64]).sum() > 300
     plain = (strip[:, :64] == strip[0, 0]).all(axis=-1)
     assert (plain | reddish(strip[:, :64])).mean() > 0.95  # no floor, no shadow: the rest are edges
+
+
+def shares(path):
+    """Of the picture: how much is red, green (less blue), turquoise."""
+    red, green, blue = np.moveaxis(np.array(Image.open(path)).astype(int), -1, 0)
+    return np.array(
+        [
+            (red > 2 * green + 20),
+            (green > 2 * red + 20) & (green > 2 * blue),
+            (green > 2 * red + 20) & (blue > green / 2),
+        ]
+    ).mean(axis=(1, 2))
+
+
+def test_pictures_show_the_paint(tmp_path):
+    shape, fragments = painted["broken_cube"](tmp_path)
+    exploded(fragments, tmp_path / "plain.png", size=(120, 90))
+    exploded(fragments, tmp_path / "painted.png", shape=shape, size=(120, 90))
+    assert shares(tmp_path / "plain.png")[1:].max() < 0.01
+    red, green, turquoise = shares(tmp_path / "painted.png")
+    assert min(red, green, turquoise) > 0.03
+    # The texture's upper half is turquoise: so are the upper parts of the upright sides.
+    rows = np.array(Image.open(tmp_path / "painted.png")).astype(int)
+    upper, lower = (
+        np.nonzero(kind)[0].mean()
+        for kind in (
+            rows[..., 2] > 2 * rows[..., 0] + 20,
+            (rows[..., 1] > 2 * rows[..., 0] + 20) & (rows[..., 1] > 2 * rows[..., 2]),
+        )
+    )
+    assert upper < lower
+    before_hit_after(painted["filmed"](shape, fragments), tmp_path / "strip.png", size=(64, 48))
+    assert shares(tmp_path / "strip.png").min() > 0.02
+
+
+def test_vertex_colours_are_interpolated(tmp_path):
+    """A side of two triangles, white at its upper corners and black at its lower ones, has every grey between."""
+    shape, fragments = painted["broken_cube"](tmp_path)
+    grey = np.full((12, 3, 4), 255, np.uint8)
+    grey[..., :3] = np.where(shape.mesh.triangles[..., 2:] > 0, 255, 0)
+    recording = painted["filmed"](replace(shape, appearance=Appearance(np.zeros(12, int), colours=grey)), fragments)
+    studio = RecordingStudio(recording, frame_action(recording, 1.0), size=(128, 128), samples=2)
+    for frame in (0, 2):
+        column = studio.picture(frame)[:, 64].astype(int)
+        dark = np.flatnonzero(column.max(axis=1) < 100)
+        side = column[dark[0] - 12 : dark[0] + 12]
+        assert (np.diff(side, axis=0) <= 3).all() and np.abs(np.diff(side, axis=0)).max() < 25
+        assert all(len(np.unique(channel)) > 15 for channel in side.T)

@@ -1,16 +1,26 @@
 """Mesh files: what is read, what is refused and how, what repair does."""
 
+import io
+import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from deepfracture.geometry import builtin, closest, faults, load_shape, read_mesh, read_triangles
 from deepfracture.geometry.solids import box
-from deepfracture.types import BadInput, Mesh
+from deepfracture.types import BadInput, Mesh, Shape
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 CUBE = box((1, 1, 1), 0.5)
+painted = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "painted.py"))
+DICE = Mesh(
+    painted["CORNERS"] / 2,
+    np.array([[a, b, c] for i, j, k, m in painted["SIDES"] for a, b, c in ((i, j, k), (i, k, m))]),
+)
+"""Twelve triangles; its sides are 1."""
 
 
 def write_obj(path, mesh, faces=None):
@@ -190,6 +200,257 @@ def test_repair_leaves_good_meshes_alone(tmp_path):
     mesh = builtin("letter_a").mesh
     path = write_obj(tmp_path / "good.obj", mesh)
     np.testing.assert_array_equal(load_shape(str(path), repair=True).mesh.vertices, load_shape(str(path)).mesh.vertices)
+
+
+# How a file looks.
+
+
+def textured(tmp_path, **changes):
+    """The painted cube's files, some lines of them changed."""
+    path = painted["write_cube"](tmp_path)
+    for suffix, pairs in changes.items():
+        file = path.with_suffix(f".{suffix}")
+        text = file.read_text()
+        for old, new in pairs:
+            assert old in text
+            text = text.replace(old, new, 1)
+        file.write_text(text)
+    return path
+
+
+def check_painted_cube(shape):
+    """Closed, and at every corner the texture coordinates and normals of its own side."""
+    look = shape.appearance
+    assert faults(shape.mesh).closed and len(shape.mesh.vertices) == 8
+    flat = shape.mesh.area_vectors
+    normals = np.repeat(flat / np.linalg.norm(flat, axis=1, keepdims=True), 3, axis=0)
+    places = shape.mesh.triangles.reshape(-1, 3)
+    np.testing.assert_allclose(look.uv.reshape(-1, 2), painted["expected_uv"](places, normals), atol=1e-6)
+    np.testing.assert_allclose(look.normals.reshape(-1, 3), normals, atol=1e-6)
+
+
+def test_an_obj_keeps_texture_normals_and_materials_across_its_seams(tmp_path):
+    shape = load_shape(str(textured(tmp_path)))
+    check_painted_cube(shape)
+    glaze, wax = shape.appearance.finishes
+    assert (glaze.name, wax.name, wax.colour) == ("glaze", "wax", (255, 0, 0))
+    assert glaze.texture == (tmp_path / "tiles.png").read_bytes() and wax.texture is None
+    across_x = np.abs(shape.mesh.area_vectors[:, 0]) > 0.1
+    np.testing.assert_array_equal(shape.appearance.finish, across_x)
+
+
+@pytest.mark.parametrize("kind", ["glb", "gltf"])
+def test_gltf_keeps_texture_normals_and_materials(tmp_path, kind):
+    import trimesh
+
+    corners = DICE.triangles.reshape(-1, 3)
+    flat = np.repeat(DICE.area_vectors * 2, 3, axis=0)
+    picture = Image.open(textured(tmp_path).with_name("tiles.png"))
+    material = trimesh.visual.material.PBRMaterial(name="glaze", baseColorTexture=picture)
+    visual = trimesh.visual.TextureVisuals(uv=painted["expected_uv"](2 * corners, flat), material=material)
+    mesh = trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), vertex_normals=flat, visual=visual, process=False)
+    scene = trimesh.Scene()
+    # Enlarged, mirrored and turned by a quarter: coordinates stay, normals follow.
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    place = np.eye(4)
+    place[:3, :3] = 3 * turn
+    scene.add_geometry(mesh, transform=place)
+    (tmp_path / "out").mkdir()
+    scene.export(tmp_path / "out" / f"cube.{kind}")
+    shape = load_shape(str(tmp_path / "out" / f"cube.{kind}"))
+    (finish,) = shape.appearance.finishes
+    assert finish.name == "glaze"
+    with Image.open(io.BytesIO(finish.texture)) as read:
+        assert (np.asarray(read.convert("RGB")) == np.asarray(picture)).all()
+    look = shape.appearance
+    back = Mesh(shape.mesh.vertices @ turn, shape.mesh.faces[:, ::-1])
+    normals = look.normals[:, ::-1] @ turn.astype(np.float32)
+    check_painted_cube(Shape("cube", back, appearance=replace(look, normals=normals, uv=look.uv[:, ::-1])))
+
+
+def test_gltf_colours_are_linear_light(tmp_path):
+    from deepfracture.export.gltf import surface_glb
+    from deepfracture.export.surface import Surface
+
+    colours = np.random.default_rng(0).integers(0, 256, (8, 4)).astype(np.uint8)
+    places = DICE.vertices.astype(np.float32)
+    surface = Surface("outer", places, np.float32(places / np.sqrt(0.75)), DICE.faces, colours=colours)
+    (tmp_path / "cube.glb").write_bytes(surface_glb(surface))
+    shape = load_shape(str(tmp_path / "cube.glb"))
+    corners = shape.mesh.triangles.reshape(-1, 3) / 2
+    which = [np.abs(DICE.vertices - corner).sum(axis=1).argmin() for corner in corners]
+    read = shape.appearance.colours.reshape(-1, 4).astype(int)
+    assert np.abs(read - colours[which]).max() <= 1
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+def test_ply_keeps_vertex_colours_and_coordinates(tmp_path, mapped):
+    lines = ["ply", "format ascii 1.0", "element vertex 8"]
+    lines += [f"property float {c}" for c in ("xyzst" if mapped else "xyz")] + [
+        f"property uchar {c}" for c in ("red", "green", "blue")
+    ]
+    lines += ["element face 12", "property list uchar int vertex_indices", "end_header"]
+    for n, (x, y, z) in enumerate(DICE.vertices):
+        spot = f" {x + 2} {y - z}" if mapped else ""
+        lines.append(f"{x} {y} {z}{spot} {30 * n} {255 - n} 7")
+    lines += [f"3 {a} {b} {c}" for a, b, c in DICE.faces]
+    (tmp_path / "cube.ply").write_text("\n".join(lines) + "\n")
+    shape = load_shape(str(tmp_path / "cube.ply"))
+    x, y, z = np.moveaxis(shape.mesh.triangles / 2, -1, 0)
+    if mapped:
+        np.testing.assert_allclose(shape.appearance.uv, np.stack([x + 2, y - z], axis=-1), atol=1e-6)
+    else:
+        assert shape.appearance.uv is None
+    which = np.abs(DICE.vertices - shape.mesh.triangles[:, :, None] / 2).sum(axis=-1).argmin(axis=-1)
+    want = np.stack([30 * which, 255 - which, 0 * which + 7, 0 * which + 255], axis=-1)
+    np.testing.assert_array_equal(shape.appearance.colours, want)
+
+
+def test_vertex_colours_alone(tmp_path):
+    lines = ["v {:g} {:g} {:g} {:g} {:g} 0.5".format(*p, *(p[:2] + 0.5)) for p in DICE.vertices]
+    lines += ["f {} {} {}".format(*(f + 1)) for f in DICE.faces]
+    (tmp_path / "cube.obj").write_text("\n".join(lines))
+    look, mesh = load_shape(str(tmp_path / "cube.obj")).appearance, read_mesh(tmp_path / "cube.obj")
+    assert (look.normals, look.uv) == (None, None)
+    want = np.rint(255 * (mesh.triangles[..., :2] + 0.5))
+    np.testing.assert_array_equal(look.colours[..., :2], want)
+    assert (look.colours[..., 2] == 128).all() and (look.colours[..., 3] == 255).all()
+
+
+def test_plain_files_have_no_appearance(tmp_path):
+    import trimesh
+
+    trimesh.Trimesh(DICE.vertices, DICE.faces, process=False).export(tmp_path / "cube.stl")
+    trimesh.Trimesh(DICE.vertices, DICE.faces, process=False).export(tmp_path / "cube.off")
+    assert load_shape(str(write_obj(tmp_path / "cube.obj", DICE))).appearance is None
+    assert load_shape(str(tmp_path / "cube.stl")).appearance is None
+    assert load_shape(str(tmp_path / "cube.off")).appearance is None
+
+
+def test_normals_of_an_inside_out_file_are_turned_outward(tmp_path):
+    path = textured(tmp_path)
+    lines = path.read_text().splitlines()
+    for k, line in enumerate(lines):
+        words = line.split()
+        if words[0] == "f":
+            lines[k] = " ".join(["f", *words[:0:-1]])
+        if words[0] == "vn":
+            lines[k] = "vn " + " ".join(str(-float(w)) for w in words[1:])
+    path.write_text("\n".join(lines))
+    check_painted_cube(load_shape(str(path)))
+
+
+SECRET = "root:x:0:0:root:/root:/bin/sh"
+
+
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd", "/etc/passwd", "../secret.mtl", "deep/../../secret.mtl", "link.mtl"]
+)
+def test_materials_outside_the_files_folder_are_not_read(tmp_path, caplog, monkeypatch, name):
+    """Not even through a link. The mesh itself is good and is read."""
+    (tmp_path / "secret.mtl").write_text(f"newmtl glaze\nKd 0 0 1\n# {SECRET}\n")
+    inside = tmp_path / "model" / "deep"
+    inside.mkdir(parents=True)
+    (inside.parent / "link.mtl").symlink_to(tmp_path / "secret.mtl")
+    path = textured(inside.parent, obj=[("mtllib cube.mtl", f"mtllib {name}")])
+    opened, read_bytes = [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda file: opened.append(file.resolve()) or read_bytes(file))
+    with caplog.at_level("WARNING", logger="deepfracture"):
+        shape = load_shape(str(path))
+    assert opened == [path]
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 1 and "outside its folder and is not read" in said[0] and "\n" not in said[0]
+    assert all(finish.colour is None and finish.texture is None for finish in shape.appearance.finishes)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("map_Kd ../secret.png", "outside its folder"),
+        ("map_Kd missing.png", "missing"),
+        ("map_Kd -s 2 2 cube.obj", "not a picture"),
+        ("map_Kd torn.png", "not a picture"),
+        ("Kd red green blue", "is no colour"),
+        ("map_Kd " + 5000 * "x", "cannot be read"),
+    ],
+)
+def test_bad_materials_cost_a_line_in_the_log_and_the_texture(tmp_path, caplog, line, says):
+    (tmp_path / "model").mkdir()
+    Image.new("RGB", (8, 8)).save(tmp_path / "secret.png")
+    path = textured(tmp_path / "model", mtl=[("map_Kd -s 1 1 1 tiles.png", line)])
+    whole = (path.parent / "tiles.png").read_bytes()
+    (path.parent / "torn.png").write_bytes(whole[: len(whole) // 2])
+    with caplog.at_level("WARNING", logger="deepfracture"):
+        shape = load_shape(str(path))
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 1 and says in said[0] and "\n" not in said[0] and len(said[0]) < 400
+    assert shape.appearance.finishes[0].texture is None
+
+
+def test_a_gltf_file_cannot_name_pictures_elsewhere_either(tmp_path):
+    import json
+
+    Image.new("RGB", (8, 8), (1, 2, 3)).save(tmp_path / "secret.png")
+    (tmp_path / "model").mkdir()
+    Image.new("RGB", (8, 8), (4, 5, 6)).save(tmp_path / "model" / "a picture.png")
+    corners = DICE.triangles.reshape(-1, 3).astype("<f4")
+    data = corners.tobytes() + np.zeros((36, 2), "<f4").tobytes()
+    (tmp_path / "model" / "cube.bin").write_bytes(data)
+    views = [{"buffer": 0, "byteOffset": 0, "byteLength": 432}, {"buffer": 0, "byteOffset": 432, "byteLength": 288}]
+    accessors = [
+        {"bufferView": k, "componentType": 5126, "count": 36, "type": kind} for k, kind in enumerate(("VEC3", "VEC2"))
+    ]
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": 0}
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "buffers": [{"uri": "cube.bin", "byteLength": len(data)}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    for uri, found in (("a%20picture.png", True), ("../secret.png", False), (str(tmp_path / "secret.png"), False)):
+        path = tmp_path / "model" / "cube.gltf"
+        path.write_text(json.dumps(document | {"images": [{"uri": uri}]}))
+        (finish,) = load_shape(str(path)).appearance.finishes
+        assert (finish.texture is not None) == found
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            [("f 1/-4/-1", "f 1/99/-1")],
+            "not a readable OBJ file (line 17: texture coordinate 99 of 24; export it again)",
+        ),
+        ([("f 1/-4/-1", "f 1/-5/-1")], "line 17: texture coordinate -5 of 24"),
+        ([("f 1/-4/-1", "f 1/0/-1")], "line 17: texture coordinate 0 of 24"),
+        ([("f 1/-4/-1", "f 1/1/7")], "line 17: normal 7 of 6"),
+        ([("f 1/-4/-1", "f 9/1/1")], "line 17: vertex 9 of 8"),
+        ([("f 1/-4/-1", "f 1/x/-1")], "line 17: face corner '1/x/-1'"),
+        ([("f 1/-4/-1", "f /1/1")], "line 17: face corner '/1/1'"),
+        ([("vt 0 0", "vt zero 0")], "line 12: a texture coordinate of 2 numbers is expected"),
+        ([("vn 0 0 -1", "vn 0 0")], "line 16: a normal of 3 numbers is expected"),
+        ([("v -1 -1 -1", "v -1 -1")], "line 3: a vertex of 3 numbers is expected"),
+        ([("vt 0 0", "vt nan 0")], "uv must be finite, got NaN or infinite values; export it again"),
+        ([("vn 0 0 -1", "vn 0 0 inf")], "normals must be finite"),
+    ],
+)
+def test_bad_corners_are_refused_in_one_line(tmp_path, change, says):
+    assert says in refusal(textured(tmp_path, obj=change))
+
+
+def test_corners_without_coordinates_are_blank(tmp_path):
+    shape = load_shape(str(textured(tmp_path, obj=[("f 1/-4/-1", "f 1//")])))
+    assert shape.appearance is not None and faults(shape.mesh).closed
+    first = np.flatnonzero(shape.mesh.area_vectors[:, 2] < -0.1)
+    corner = np.abs(shape.mesh.triangles[first] - [-1, -1, -1]).max(axis=2) < 1e-9
+    assert corner.any() and (shape.appearance.uv[first][corner] == 0).all()
+    np.testing.assert_allclose(shape.appearance.normals[first], [[[0, 0, -1]] * 3] * len(first), atol=1e-6)
 
 
 @pytest.mark.skipif(not (DATA / "teapot.obj").exists(), reason="the shared meshes are not here")

@@ -12,12 +12,13 @@ from .. import __version__
 from ..types import Recording, Track
 from .files import replacing
 from .motion import continuous, keys, quat_of
-from .surface import COLOURS, Surface, track_surfaces
+from .surface import Surface, track_surfaces
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
-FLOAT, UINT32 = 5126, 5125
+FLOAT, UINT32, UINT16 = 5126, 5125, 5123
+REPEAT = 10497
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 ROUGHNESS = {"outer": 0.75, "inner": 0.95, "ball": 0.35, "floor": 0.9, "block": 0.8}
 
@@ -27,11 +28,23 @@ def write_glb(recording: Recording, path: str | os.PathLike) -> None:
 
     One node a body (fragments: fragment_000 ...), translation and rotation sampled at the
     recording's frames; a body that does not exist yet, or no longer, has scale 0, which
-    glTF 2.0 (section 3.5.3) lets a renderer skip. The same recording gives the same bytes.
+    glTF 2.0 (section 3.5.3) lets a renderer skip. A primitive for each material of the user's
+    file, and one for the crack surface: its material is called "inner", and its texture
+    coordinates are metres. The same recording gives the same bytes.
     """
     data = _Builder(recording).bytes()
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+def surface_glb(surface: Surface) -> bytes:
+    """A glTF file of one surface, in its own coordinates."""
+    builder = _Builder(Recording(1.0, ()))
+    g, doc = builder.g, builder.doc
+    doc.meshes.append(g.Mesh(primitives=[builder.primitive(surface)]))
+    doc.nodes.append(g.Node(mesh=0))
+    doc.scenes, doc.scene = [g.Scene(nodes=[0])], 0
+    return builder.packed()
 
 
 class _Builder:
@@ -44,7 +57,8 @@ class _Builder:
         self.doc: GLTF2 = g.GLTF2(asset=g.Asset(version="2.0", generator=f"deepfracture {__version__}"))
         self.blob = bytearray()
         self.accessors: dict[tuple, int] = {}
-        self.materials: dict[str, int] = {}
+        self.materials: dict[tuple, int] = {}
+        self.images: dict[bytes, int] = {}
         self.channels: list[Any] = []
         self.samplers: list[Any] = []
 
@@ -62,9 +76,13 @@ class _Builder:
         self.roots(bodies)
         if self.channels:
             doc.animations = [g.Animation(name="shatter", channels=self.channels, samplers=self.samplers)]
-        doc.buffers = [g.Buffer(byteLength=len(self.blob))]
-        doc.set_binary_blob(bytes(self.blob))
-        return b"".join(doc.save_to_bytes())
+        return self.packed()
+
+    def packed(self) -> bytes:
+        """The whole file."""
+        self.doc.buffers = [self.g.Buffer(byteLength=len(self.blob))]
+        self.doc.set_binary_blob(bytes(self.blob))
+        return b"".join(self.doc.save_to_bytes())
 
     def roots(self, bodies: list[int]) -> None:
         """y-up <- user (a rotation), user <- world (the recording's similarity)."""
@@ -129,29 +147,58 @@ class _Builder:
         self.channels.append(g.AnimationChannel(sampler=len(self.samplers) - 1, target=which))
 
     def primitive(self, surface: Surface) -> Any:
+        g = self.g
         position = self.accessor(surface.vertices, "VEC3", FLOAT, VERTEX_BUFFER, bounds=True)
         normal = self.accessor(surface.normals, "VEC3", FLOAT, VERTEX_BUFFER)
         index = self.accessor(surface.faces.ravel().astype(np.uint32), "SCALAR", UINT32, INDEX_BUFFER)
-        return self.g.Primitive(
-            attributes=self.g.Attributes(POSITION=position, NORMAL=normal),
-            indices=index,
-            material=self.material(surface.look),
-        )
+        attributes = g.Attributes(POSITION=position, NORMAL=normal)
+        if surface.uv is not None:
+            # glTF counts v downwards from the top of the picture
+            down = np.stack([surface.uv[:, 0], 1 - surface.uv[:, 1]], axis=1)
+            attributes.TEXCOORD_0 = self.accessor(down.astype(np.float32), "VEC2", FLOAT, VERTEX_BUFFER)
+        if surface.colours is not None:
+            attributes.COLOR_0 = self.accessor(_light(surface.colours), "VEC4", UINT16, VERTEX_BUFFER, normalised=True)
+        return g.Primitive(attributes=attributes, indices=index, material=self.material(surface))
 
-    def material(self, look: str) -> int:
-        if look not in self.materials:
-            linear = [((c / 255 + 0.055) / 1.055) ** 2.4 for c in COLOURS[look]]  # IEC 61966-2-1
-            surface = self.g.PbrMetallicRoughness(
+    def material(self, surface: Surface) -> int:
+        """One for each finish of each look."""
+        g, texture = self.g, surface.finish.texture if surface.uv is not None else None
+        key = (surface.look, surface.name, surface.base, texture)
+        if key not in self.materials:
+            linear = [float(_linear(c / 255)) for c in surface.base]
+            shading = g.PbrMetallicRoughness(
                 baseColorFactor=[round(c, 4) for c in linear] + [1.0],
-                metallicFactor=0.6 if look == "ball" else 0.0,
-                roughnessFactor=ROUGHNESS[look],
+                metallicFactor=0.6 if surface.look == "ball" else 0.0,
+                roughnessFactor=ROUGHNESS[surface.look],
             )
-            self.materials[look] = len(self.doc.materials)
-            self.doc.materials.append(self.g.Material(name=look, pbrMetallicRoughness=surface))
-        return self.materials[look]
+            if texture is not None:
+                shading.baseColorTexture = g.TextureInfo(index=self.texture(texture))
+            self.materials[key] = len(self.doc.materials)
+            self.doc.materials.append(g.Material(name=surface.name, pbrMetallicRoughness=shading))
+        return self.materials[key]
+
+    def texture(self, picture: bytes) -> int:
+        """Index of a texture that repeats a PNG or JPEG file, which is stored once."""
+        if picture not in self.images:
+            g, doc = self.g, self.doc
+            doc.bufferViews.append(g.BufferView(buffer=0, byteOffset=len(self.blob), byteLength=len(picture)))
+            self.blob += picture + bytes(-len(picture) % 4)
+            kind = "image/png" if picture.startswith(b"\x89PNG") else "image/jpeg"
+            doc.images.append(g.Image(bufferView=len(doc.bufferViews) - 1, mimeType=kind))
+            doc.samplers = [g.Sampler(wrapS=REPEAT, wrapT=REPEAT)]
+            self.images[picture] = len(doc.textures)
+            doc.textures.append(g.Texture(sampler=0, source=len(doc.images) - 1))
+        return self.images[picture]
 
     def accessor(
-        self, values: NDArray, kind: str, component: int, target: int | None = None, *, bounds: bool = False
+        self,
+        values: NDArray,
+        kind: str,
+        component: int,
+        target: int | None = None,
+        *,
+        bounds: bool = False,
+        normalised: bool = False,
     ) -> int:
         """Index of an accessor over `values`; equal values are stored once."""
         data = np.ascontiguousarray(values).tobytes()
@@ -160,12 +207,13 @@ class _Builder:
             g, rows = self.g, values.reshape(len(values), -1)
             view = g.BufferView(buffer=0, byteOffset=len(self.blob), byteLength=len(data), target=target)
             self.doc.bufferViews.append(view)
-            self.blob += data  # every value is 4 bytes wide: the next view stays aligned
+            self.blob += data  # every row is a multiple of 4 bytes wide: the next view stays aligned
             accessor = g.Accessor(
                 bufferView=len(self.doc.bufferViews) - 1,
                 componentType=component,
                 type=kind,
                 count=len(values),
+                normalized=normalised,
             )
             if bounds:
                 accessor.min = [float(v) for v in rows.min(axis=0)]
@@ -173,6 +221,18 @@ class _Builder:
             self.accessors[key] = len(self.doc.accessors)
             self.doc.accessors.append(accessor)
         return self.accessors[key]
+
+
+def _linear(value: Any) -> Any:
+    """Linear light 0..1 of sRGB 0..1 (IEC 61966-2-1)."""
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _light(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Colours (n, 4) as the linear light that glTF wants; eight bits would band in the shadows."""
+    values = colours / 255
+    values[:, :3] = _linear(values[:, :3])
+    return np.rint(65535 * values).astype(np.uint16)
 
 
 def _xyzw(quat_wxyz: NDArray) -> list[float]:

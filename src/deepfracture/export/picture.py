@@ -7,7 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from ..types import Fragments, Recording
+from ..types import Fragments, Recording, Shape
 from .camera import frame_action, frame_points
 from .files import replacing
 from .film import in_threads
@@ -29,11 +29,14 @@ def exploded(
     fragments: Fragments,
     path: str | os.PathLike,
     *,
+    shape: Shape | None = None,
     factor: float = 0.5,
     size: tuple[int, int] = (800, 600),
     azimuth: float = -60.0,
 ) -> None:
-    """A PNG of the fragments, each moved away from the middle by `factor` times its distance."""
+    """A PNG of the fragments, each moved away from the middle by `factor` times its distance.
+
+    shape: what broke; with it the fragments keep its paint."""
     centres = np.array([piece.centre for piece in fragments])
     masses = np.array([piece.mass for piece in fragments])
     middle = masses @ centres / masses.sum()
@@ -42,7 +45,7 @@ def exploded(
     points = np.concatenate(moved)
     camera = frame_points(points, size[0] / size[1], azimuth=azimuth)
     studio = Studio(
-        [Prop(surfaces(piece.mesh, piece.source)) for piece in fragments],
+        [Prop(surfaces(piece.mesh, piece.source, whole=shape)) for piece in fragments],
         camera,
         size=size,
         samples=STILL_SAMPLES,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..types import Floats32
 
@@ -85,7 +85,16 @@ class Bodies(NamedTuple):
     patch: NDArray[np.int32]
     """Triangles of one smooth surface share a number, shape (m,)."""
     looks: Floats32
-    """Of each vertex: unit normal (3), linear colour (3), gloss 0..1, share of the sky seen, shape (n, 8)."""
+    """Of each vertex: unit normal (3), linear colour (3), gloss 0..1, share of the sky seen, texture coordinates
+    (2, v upward), shape (n, 10)."""
+    page: NDArray[np.int32]
+    """Row of `pages` that tints each triangle, -1 for none, shape (m,)."""
+    pages: NDArray[np.int32]
+    """Textures: first texel, width, height, shape (p, 3)."""
+    texels: NDArray[np.uint8]
+    """sRGB of all textures, row by row from the top, shape (t, 3)."""
+    decode: Floats32
+    """Linear light of an sRGB byte, shape (256,)."""
 
 
 def triple(values: NDArray) -> Triple:
@@ -101,9 +110,9 @@ def taps(count: int = 16) -> Floats32:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1).astype(F)
 
 
-def linear(colour: tuple[int, int, int]) -> Floats32:
-    """Linear light of an sRGB colour 0..255, shape (3,)."""
-    value = np.array(colour) / 255
+def linear(colour: ArrayLike) -> Floats32:
+    """Linear light of sRGB 0..255, the same shape."""
+    value = np.asarray(colour) / 255
     # IEC 61966-2-1
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(F)
 
@@ -304,6 +313,24 @@ def _weights(x, y, a, b, c):
     return u * away, v * away, w * away, away
 
 
+@compiled()
+def _painted(bodies, page, u, v):
+    """Linear colour of a texture that repeats, between its texels."""
+    first, width, height = bodies.pages[page, 0], bodies.pages[page, 1], bodies.pages[page, 2]
+    x, y = (u - np.floor(u)) * F(width) - F(0.5), (np.ceil(v) - v) * F(height) - F(0.5)
+    i, j = int(np.floor(x)), int(np.floor(y))
+    x, y = x - F(i), y - F(j)
+    red, green, blue = ZERO, ZERO, ZERO
+    for k in range(4):
+        across, down = k & 1, k >> 1
+        share = (x if across else ONE - x) * (y if down else ONE - y)
+        texel = first + (j + down + height) % height * width + (i + across + width) % width
+        red += share * bodies.decode[bodies.texels[texel, 0]]
+        green += share * bodies.decode[bodies.texels[texel, 1]]
+        blue += share * bodies.decode[bodies.texels[texel, 2]]
+    return red, green, blue
+
+
 @compiled(inline="always")
 def _sample(x, y, f, middle, screen, bodies, view, lights, shadows):
     """Linear light of one sample at (x, y) that sees triangle f."""
@@ -323,7 +350,16 @@ def _sample(x, y, f, middle, screen, bodies, view, lights, shadows):
             ny = u * looks[i, 1] + v * looks[j, 1] + w * looks[k, 1]
             nz = u * looks[i, 2] + v * looks[j, 2] + w * looks[k, 2]
             unit = ONE / np.sqrt(nx * nx + ny * ny + nz * nz + F(1e-20))
-            n, base = (nx * unit, ny * unit, nz * unit), (looks[i, 3], looks[i, 4], looks[i, 5])
+            n = (nx * unit, ny * unit, nz * unit)
+            red = u * looks[i, 3] + v * looks[j, 3] + w * looks[k, 3]
+            green = u * looks[i, 4] + v * looks[j, 4] + w * looks[k, 4]
+            blue = u * looks[i, 5] + v * looks[j, 5] + w * looks[k, 5]
+            if bodies.page[f] >= 0:
+                s = u * looks[i, 8] + v * looks[j, 8] + w * looks[k, 8]
+                t = u * looks[i, 9] + v * looks[j, 9] + w * looks[k, 9]
+                paint = _painted(bodies, bodies.page[f], s, t)
+                red, green, blue = red * paint[0], green * paint[1], blue * paint[2]
+            base = (red, green, blue)
             shine, sky = looks[i, 6], u * looks[i, 7] + v * looks[j, 7] + w * looks[k, 7]
     p = _along(view.eye, reach, toward)
     if not hit:
@@ -342,9 +378,11 @@ def _sample(x, y, f, middle, screen, bodies, view, lights, shadows):
 
 
 @compiled(inline="always")
-def _alike(depth, triangle, patch, top, left, samples):
-    """Whether all samples of a pixel see one smooth patch without a fold: then one of them speaks for all."""
+def _alike(depth, triangle, patch, page, top, left, samples):
+    """Whether all samples of a pixel see one smooth patch without fold or texture: then one speaks for all."""
     f, nearest, farthest = triangle[top, left], ZERO, FAR
+    if f != NOTHING and page[f] >= 0:
+        return False
     for j in range(top, top + samples):
         for i in range(left, left + samples):
             g = triangle[j, i]
@@ -361,7 +399,7 @@ def shade(samples, depth, triangle, screen, bodies, view, lights, shadows, encod
     for pixel in range(out.shape[0] * out.shape[1]):
         top, left = pixel // out.shape[1] * samples, pixel % out.shape[1] * samples
         red, green, blue = ZERO, ZERO, ZERO
-        count = 1 if _alike(depth, triangle, bodies.patch, top, left, samples) else samples * samples
+        count = 1 if _alike(depth, triangle, bodies.patch, bodies.page, top, left, samples) else samples * samples
         for k in range(count):
             y, x = (top + k // samples, left + k % samples) if count > 1 else (top + step, left + step)
             light = _sample(F(x) + F(0.5), F(y) + F(0.5), triangle[y, x], middle, screen, bodies, view, lights, shadows)

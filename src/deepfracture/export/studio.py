@@ -29,6 +29,8 @@ FLOOR_POINTS = 96
 SKY_TAPS = 32
 SKY_REACHES = np.array([0.12, 0.35])
 """How far ambient light looks for what hides the sky, as shares of the lit region's radius."""
+TEXTURE_SIDE = 1024
+"""Texels along the longer side of a texture at most: the pictures are smaller than most."""
 SHADOW_SOFTNESS = 0.035
 """Radius of a shadow's soft edge, as a share of the lit region's radius."""
 
@@ -57,7 +59,7 @@ class Studio:
         """size: width, height [pixel]; samples: per pixel and axis; floor: its height [m];
         radius: of the region around the camera's target that casts shadows [m];
         taps: on the key light's soft shadow, more for less grain."""
-        from .raster import encoding, linear
+        from .raster import encoding
 
         surfaces = [(b, s) for b, prop in enumerate(props) for s in prop.surfaces]
         counts = [len(s.vertices) for _, s in surfaces]
@@ -70,8 +72,12 @@ class Studio:
         self.faces = np.concatenate(shifted).astype(np.int32)
         faces = [len(s.faces) for _, s in surfaces]
         self.face_body = np.repeat([b for b, _ in surfaces], faces)
-        looks = [(*linear(COLOURS[s.look]), GLOSS[s.look]) for _, s in surfaces]
-        self.looks = np.repeat(np.array(looks, np.float32), counts, axis=0)
+        self.looks = np.concatenate([_looks(s) for _, s in surfaces])
+        self.uv = np.concatenate(
+            [np.zeros((k, 2), np.float32) if s.uv is None else s.uv for k, (_, s) in zip(counts, surfaces, strict=True)]
+        )
+        self.atlas, number = _atlas([s for _, s in surfaces])
+        self.page = np.repeat(number, faces)
         self.patch = _patches(self.faces, len(self.vertices))
         self.encode = encoding()
         self.camera, self.size, self.samples, self.floor, self.radius = camera, size, samples, floor, radius
@@ -87,7 +93,8 @@ class Studio:
         (width, height), s = self.size, self.samples
         view = self._view(height * s)
         lights, shadows, sky = self._lights(vertices, normals, faces)
-        bodies = raster.Bodies(faces, self.patch[seen], np.column_stack([normals, self.looks, sky]))
+        looks = np.column_stack([normals, self.looks, sky, self.uv])
+        bodies = raster.Bodies(faces, self.patch[seen], looks, self.page[seen], *self.atlas)
         axes, eye = self.camera.axes.astype(np.float32), self.camera.position.astype(np.float32)
         screen, depth, triangle = raster.see(vertices, faces, axes, eye, view.focal, (width * s, height * s))
         out = np.empty((height, width, 3), np.uint8)
@@ -195,6 +202,40 @@ def _light_axes(toward: Floats) -> Floats:
     right = np.cross((0.0, 0.0, 1.0), back)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(back, right), back])
+
+
+def _looks(surface: Surface) -> Floats32:
+    """Linear colour and gloss of each vertex, shape (n, 4)."""
+    from .raster import linear
+
+    looks = np.empty((len(surface.vertices), 4), np.float32)
+    looks[:, :3], looks[:, 3] = linear(surface.base), GLOSS[surface.look]
+    if surface.colours is not None:
+        looks[:, :3] *= linear(surface.colours[:, :3])
+    return looks
+
+
+def _atlas(surfaces: Sequence[Surface]) -> tuple[tuple[NDArray, NDArray, NDArray], NDArray[np.int32]]:
+    """Pages, texels and decoding of `raster.Bodies` for all textures, and the page of each surface, -1 for none."""
+    import io
+
+    from PIL import Image
+
+    from .raster import linear
+
+    files = [s.finish.texture if s.uv is not None else None for s in surfaces]
+    known = {file: k for k, file in enumerate(dict.fromkeys(file for file in files if file is not None))}
+    pages, texels, start = [], [np.zeros((0, 3), np.uint8)], 0
+    for file in known:
+        with Image.open(io.BytesIO(file)) as picture:
+            picture.thumbnail((TEXTURE_SIDE, TEXTURE_SIDE))
+            rows = np.asarray(picture.convert("RGB"))
+        pages.append((start, rows.shape[1], rows.shape[0]))
+        texels.append(rows.reshape(-1, 3))
+        start += rows.shape[0] * rows.shape[1]
+    number = np.array([-1 if file is None else known[file] for file in files], np.int32)
+    atlas = np.array(pages, np.int32).reshape(-1, 3), np.concatenate(texels), linear(np.arange(256))
+    return atlas, number
 
 
 def _patches(faces: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..types import Floats, Floats32, Ints, Mesh, Track
+from ..geometry.appearance import INNER, interpolated, planar_uv
+from ..types import Appearance, Finish, Floats, Floats32, Ints, Mesh, Shape, Track
 
 OUTER_CREASE = 40.0
 """Degrees between two faces beyond which an original surface shows an edge."""
@@ -15,12 +18,17 @@ INNER_CREASE = 25.0
 
 COLOURS: dict[str, tuple[int, int, int]] = {
     "outer": (189, 94, 61),  # terracotta
-    "inner": (232, 186, 150),  # fresh clay
+    "inner": INNER.colour or (255, 255, 255),
     "ball": (62, 72, 84),  # steel
     "floor": (236, 233, 228),
     "block": (150, 152, 156),  # granite
 }
 """sRGB, 0..255, of each kind of surface."""
+
+
+WHITE = (255, 255, 255)
+SAME_NORMAL, SAME_UV = 1e-4, 1e-6
+"""Corners that differ by less, in units of a unit normal and of a texture's side, share a vertex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,20 +43,108 @@ class Surface:
     """Unit normals of the vertices, shape (n, 3)."""
     faces: Ints
     """Shape (m, 3)."""
+    uv: Floats32 | None = None
+    """Texture coordinates of the vertices, v upward, shape (n, 2)."""
+    colours: NDArray[np.uint8] | None = None
+    """sRGB and opacity of the vertices, which tint what `finish` says, shape (n, 4)."""
+    finish: Finish = field(default_factory=Finish)
+    """What it is painted with; where that says nothing, the colour of its look."""
+
+    @property
+    def name(self) -> str:
+        """Of its material: the user's own, else that of its look."""
+        return self.finish.name or self.look
+
+    @property
+    def base(self) -> tuple[int, int, int]:
+        """sRGB, 0..255, by which colours and texture are multiplied."""
+        if self.finish.texture is not None and self.uv is not None:
+            return WHITE
+        plain = COLOURS[self.look] if self.colours is None else WHITE
+        return plain if self.finish.colour is None else self.finish.colour
 
 
-def surfaces(mesh: Mesh, source: Ints | None, look: str = "outer") -> tuple[Surface, ...]:
-    """The original surface (`look`) and, where `source` is -1, the crack surface ("inner")."""
-    if source is None:
-        return (_shaded(mesh, mesh.faces, look, OUTER_CREASE),)
-    cracked = np.asarray(source) < 0
-    parts = ((mesh.faces[~cracked], look, OUTER_CREASE), (mesh.faces[cracked], "inner", INNER_CREASE))
-    return tuple(_shaded(mesh, faces, name, crease) for faces, name, crease in parts if len(faces))
+def surfaces(
+    mesh: Mesh, source: Ints | None, look: str = "outer", *, whole: Shape | None = None
+) -> tuple[Surface, ...]:
+    """The original surface (`look`) and, where `source` is -1, the crack surface ("inner").
+
+    whole: what `source` refers to; with it the original surface is as smooth as it was before it broke, has the
+    paint of the user's file, and comes in as many parts as that has finishes. Crack surfaces have `planar_uv`."""
+    cracked = np.zeros(len(mesh.faces), bool) if source is None else np.asarray(source) < 0
+    outer = () if cracked.all() else _outer(mesh, np.flatnonzero(~cracked), source, look, whole)
+    if not cracked.any():
+        return outer
+    return (*outer, _stone(mesh, cracked))
 
 
 def track_surfaces(track: Track) -> tuple[Surface, ...]:
     """The surfaces of one body of a recording."""
-    return surfaces(track.mesh, track.source, track.kind if track.kind in COLOURS else "outer")
+    look = track.kind if track.kind in COLOURS else "outer"
+    return surfaces(track.mesh, track.source, look, whole=track.whole)
+
+
+@lru_cache(maxsize=8)
+def painted(shape: Shape) -> Appearance:
+    """How a shape looks, with normals where its file has none: by its creases."""
+    faces = np.zeros(len(shape.mesh.faces), np.int32)
+    given = Appearance(faces) if shape.appearance is None else shape.appearance
+    if given.normals is not None:
+        return given
+    smooth = _shaded(shape.mesh, shape.mesh.faces, "outer", OUTER_CREASE)
+    return replace(given, normals=smooth.normals[smooth.faces])
+
+
+def _outer(mesh: Mesh, faces: Ints, source: Ints | None, look: str, whole: Shape | None) -> tuple[Surface, ...]:
+    """The original surface: one for each finish that is seen."""
+    if whole is None:
+        return (_shaded(mesh, mesh.faces[faces], look, OUTER_CREASE),)
+    paint = painted(whole)
+    if source is not None:
+        paint = interpolated(paint, whole.mesh, mesh.triangles[faces], source[faces])
+    parts = [(k, np.flatnonzero(paint.finish == k)) for k in np.unique(paint.finish)]
+    return tuple(_painted(mesh, mesh.faces[faces[own]], look, paint, own, paint.finishes[k]) for k, own in parts)
+
+
+def _painted(mesh: Mesh, faces: Ints, look: str, paint: Appearance, own: Ints, finish: Finish) -> Surface:
+    """The faces `own` of an appearance; corners that are alike in all share a vertex."""
+    assert paint.normals is not None
+    normals = paint.normals[own].reshape(-1, 3)
+    uv = None if paint.uv is None else paint.uv[own].reshape(-1, 2)
+    colours = None if paint.colours is None else paint.colours[own].reshape(-1, 4)
+    keys = [faces.reshape(-1, 1), np.rint(normals / SAME_NORMAL)]
+    keys += [] if uv is None else [np.rint(uv.astype(float) / SAME_UV)]
+    keys += [] if colours is None else [colours]
+    first, vertex = _alike(keys)
+    return Surface(
+        look,
+        mesh.vertices[faces.ravel()[first]].astype(np.float32),
+        normals[first],
+        vertex.reshape(-1, 3),
+        None if uv is None else uv[first],
+        None if colours is None else colours[first],
+        finish,
+    )
+
+
+def _stone(mesh: Mesh, cracked: NDArray[np.bool_]) -> Surface:
+    """The crack surface, a vertex for each of the texture coordinates that meet there."""
+    surface = _shaded(mesh, mesh.faces[cracked], "inner", INNER_CREASE)
+    uv = planar_uv(mesh, cracked)[cracked].reshape(-1, 2)
+    first, vertex = _alike([surface.faces.reshape(-1, 1), uv])
+    old = surface.faces.ravel()[first]
+    vertices, normals = surface.vertices[old], surface.normals[old]
+    return Surface("inner", vertices, normals, vertex.reshape(-1, 3), uv[first], finish=INNER)
+
+
+def _alike(columns: list[NDArray]) -> tuple[Ints, Ints]:
+    """The first row of each kind, and the kind of each row, of columns side by side (n, ...)."""
+    table = np.concatenate([np.asarray(column, float) for column in columns], axis=1)
+    order = np.lexsort(table.T[::-1])
+    new = np.concatenate([[True], (np.diff(table[order], axis=0) != 0).any(axis=1)])
+    kind = np.empty(len(order), np.int64)
+    kind[order] = np.cumsum(new) - 1
+    return order[new], kind
 
 
 def _shaded(mesh: Mesh, faces: Ints, look: str, crease: float) -> Surface:

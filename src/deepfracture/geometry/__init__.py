@@ -1,5 +1,6 @@
 """Shapes: made, read, repaired, normalised, measured."""
 
+from deepfracture.geometry.appearance import carried
 from deepfracture.geometry.builtin import BUILTIN, builtin
 from deepfracture.geometry.distance import (
     Closest,
@@ -23,6 +24,7 @@ __all__ = [
     "Faults",
     "MassProperties",
     "builtin",
+    "carried",
     "check_solid",
     "closest",
     "distance_lattice",

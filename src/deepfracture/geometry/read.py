@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from deepfracture.geometry.appearance import followed
 from deepfracture.geometry.builtin import builtin
 from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.orient import oriented
+from deepfracture.geometry.soup import Soup, read_scene
 from deepfracture.geometry.topology import faults, shell_volumes, shells, split_pinches, weld
-from deepfracture.types import BadInput, Mesh, Shape
+from deepfracture.geometry.wavefront import read_obj
+from deepfracture.progress import log
+from deepfracture.types import Appearance, BadInput, Mesh, Shape
 
 EXTENSIONS = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
 
@@ -19,7 +24,10 @@ def read_triangles(path: str | Path) -> Mesh:
     """Every triangle of a file, scene nodes in place, corners welded; open meshes are allowed.
 
     Raises BadInput, in one line, for what is not a readable mesh."""
-    path = Path(path)
+    return _welded(_soup(Path(path)), path)
+
+
+def _soup(path: Path) -> Soup:
     if not path.exists():
         raise BadInput(f"{path}: no such file")
     if path.is_dir():
@@ -28,16 +36,21 @@ def read_triangles(path: str | Path) -> Mesh:
         raise BadInput(f"{path}: unknown kind of file {path.suffix!r}; known are {', '.join(EXTENSIONS)}")
     if path.stat().st_size == 0:
         raise BadInput(f"{path}: the file is empty")
-    vertices, faces = _parse(path)
-    if not len(faces):
+    soup = read_obj(path) if path.suffix.lower() == ".obj" else read_scene(path)
+    if not len(soup.faces):
         raise BadInput(f"{path}: no triangles found; is it really {_article(path)} file?")
-    bad = ~np.isfinite(vertices).all(axis=1)
-    if bad.any():
-        raise BadInput(f"{path}: {bad.sum()} of {len(vertices)} vertices are NaN or infinite; export it again")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise BadInput(f"{path}: faces use vertices that the file lacks ({len(vertices)} given); export it again")
+    count = len(soup.vertices)
+    bad = count - int(np.isfinite(soup.vertices).all(axis=1).sum())
+    if bad:
+        raise BadInput(f"{path}: {bad} of {count} vertices are NaN or infinite; export it again")
+    if soup.faces.min() < 0 or soup.faces.max() >= count:
+        raise BadInput(f"{path}: faces use vertices that the file lacks ({count} given); export it again")
+    return soup
+
+
+def _welded(soup: Soup, path: str | Path) -> Mesh:
     try:
-        return weld(vertices, faces)
+        return weld(soup.vertices, soup.faces)
     except BadInput as problem:
         raise BadInput(f"{path}: {problem}") from None
 
@@ -45,22 +58,6 @@ def read_triangles(path: str | Path) -> Mesh:
 def _article(path: Path) -> str:
     kind = path.suffix[1:].upper()
     return f"{'an' if kind in ('OBJ', 'STL', 'OFF') else 'a'} {kind}"
-
-
-def _parse(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    import logging
-
-    import trimesh
-
-    # trimesh reports what it skips to its own logger; our one line says enough.
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
-    try:
-        mesh = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
-        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-    except Exception as problem:  # Loaders raise anything on garbage; every case is the same to the user.
-        reason = (str(problem).strip().splitlines() or [type(problem).__name__])[0]
-        raise BadInput(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})") from None
-    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def check_solid(mesh: Mesh, name: str) -> Mesh:
@@ -97,15 +94,33 @@ def read_mesh(path: str | Path) -> Mesh:
 
 
 def load_shape(path_or_name: str, *, repair: bool = False) -> Shape:
-    """A built-in shape by its name, or the shape in a mesh file (OBJ, STL, PLY, GLB, GLTF, OFF).
+    """A built-in shape by its name, or the shape in a mesh file (OBJ, STL, PLY, GLB, GLTF, OFF) with its looks.
 
     repair: close what is open, join overlapping shells. Raises BadInput in one line."""
     text = str(path_or_name)
     path = Path(text)
     if not text.strip() or (not path.suffix and not path.is_file()):
         return builtin(text)
-    if not repair:
-        return normalise(read_mesh(path), path.stem)
-    from deepfracture.geometry.repair import repair as repaired
+    soup = _soup(path)
+    mesh = _welded(soup, path)
+    if repair:
+        from deepfracture.geometry.repair import repair as repaired
 
-    return normalise(repaired(read_triangles(path), name=str(path)), path.stem)
+        mesh = repaired(mesh, name=text)
+    else:
+        mesh = check_solid(mesh, text)
+    return replace(normalise(mesh, path.stem), appearance=_appearance(soup, mesh, text))
+
+
+def _appearance(soup: Soup, mesh: Mesh, name: str) -> Appearance | None:
+    """What the file says of the looks of the mesh that was made of it, None if it says nothing."""
+    try:
+        given = soup.appearance()
+    except BadInput as problem:
+        raise BadInput(f"{name}: {problem}; export it again") from None
+    if given is None:
+        return None
+    appearance, new = followed(given, Mesh(soup.vertices, soup.faces), mesh)
+    if new:
+        log.info("%s: %d of %d faces are new and look like what is nearest to them", name, new, len(mesh.faces))
+    return appearance

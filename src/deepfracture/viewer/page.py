@@ -5,14 +5,17 @@ from __future__ import annotations
 import io
 import os
 from contextlib import redirect_stdout
+from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..export.camera import frame_action
 from ..export.files import replacing
+from ..export.gltf import surface_glb
 from ..export.motion import KEY_TOL, continuous, exists, floor_height
-from ..export.surface import COLOURS, track_surfaces
+from ..export.surface import COLOURS, Surface, track_surfaces
 from ..types import Recording, Track
 
 if TYPE_CHECKING:
@@ -24,6 +27,8 @@ PAUSE = 1.5
 """Seconds that the end stands still before the page starts again."""
 FLOOR_WIDTH = 200.0
 """Side of the drawn floor [m]."""
+TEXTURE_SIDE = 512
+"""Texels along the longer side of a texture at most."""
 
 
 def write_page(recording: Recording, path: str | os.PathLike) -> None:
@@ -82,9 +87,31 @@ def _body(scene: SceneApi, track: Track, name: str) -> FrameHandle:
         wxyz=tuple(track.quats_wxyz[0]),
         visible=exists(track, 0),
     )
-    for surface in track_surfaces(track):
-        scene.add_mesh_simple(f"{name}/{surface.look}", surface.vertices, surface.faces, color=COLOURS[surface.look])
+    for k, surface in enumerate(track_surfaces(track)):
+        _mesh(scene, surface, f"{name}/{k}_{surface.look}")
     return frame
+
+
+def _mesh(scene: SceneApi, surface: Surface, name: str) -> None:
+    """One surface; with a texture or colours of its own it travels as glTF."""
+    if surface.colours is None and (surface.uv is None or surface.finish.texture is None):
+        scene.add_mesh_simple(name, surface.vertices, surface.faces, color=surface.base)
+        return
+    if surface.finish.texture is not None:
+        surface = replace(surface, finish=replace(surface.finish, texture=_small(surface.finish.texture)))
+    scene.add_glb(name, surface_glb(surface))
+
+
+@lru_cache(maxsize=8)
+def _small(texture: bytes) -> bytes:
+    """A texture as a JPEG that is small enough to travel with every fragment."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(texture)) as picture:
+        picture.thumbnail((TEXTURE_SIDE, TEXTURE_SIDE))
+        small = io.BytesIO()
+        picture.convert("RGB").save(small, format="JPEG", quality=85)
+    return small.getvalue()
 
 
 def _recorded(server: ViserServer, recording: Recording, bodies: list[tuple[Track, FrameHandle]]) -> str:

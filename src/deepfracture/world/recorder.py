@@ -23,6 +23,7 @@ class _Line:
     kind: str
     mesh: Mesh
     source: Ints | None
+    whole: Shape | None
     start: int
     positions: list[Floats] = field(default_factory=list)
     quats: list[Floats] = field(default_factory=list)
@@ -39,20 +40,20 @@ class Recorder:
         self._lines: dict[int, _Line] = {}
         self.frames = 0
         """How many are written down."""
-        self._sources: dict[int, Ints] = {}
+        self._pieces: dict[int, tuple[Ints, Shape]] = {}
 
-    def knows(self, bodies: list[Body], fragments: Fragments) -> None:
-        """Which faces of new fragments are crack surface."""
+    def knows(self, bodies: list[Body], fragments: Fragments, whole: Shape) -> None:
+        """Which faces of new fragments are crack surface, and of which whole the others are."""
         for body, piece in zip(bodies, fragments, strict=True):
-            self._sources[body.number] = piece.source
+            self._pieces[body.number] = piece.source, whole
 
     def frame(self, moving: list[tuple[Body, Motion]]) -> None:
         """One frame: everything that exists now."""
         for body, motion in moving:
             if body.number not in self._lines:
                 mesh = body.mesh if body.mesh is not None else ball_mesh(body.radius)
-                source = self._sources.get(body.number)
-                self._lines[body.number] = _Line(body.name, body.kind, mesh, source, self.frames)
+                source, whole = self._pieces.get(body.number, (None, body.shape))
+                self._lines[body.number] = _Line(body.name, body.kind, mesh, source, whole, self.frames)
             line = self._lines[body.number]
             line.positions.append(motion.position)
             line.quats.append(motion.quat_wxyz)
@@ -68,6 +69,7 @@ class Recorder:
                 line.start,
                 np.array(line.positions),
                 np.array(line.quats),
+                line.whole,
             )
             for line in self._lines.values()
         ]
