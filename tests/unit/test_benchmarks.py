@@ -12,7 +12,7 @@ from deepfracture.carve import cut
 from deepfracture.dataset import Outcome, simulate_collisions
 from deepfracture.fracture import material
 from deepfracture.geometry import builtin, faults, signed_distance
-from deepfracture.types import FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape
+from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 PLASTER = material("plaster")
@@ -175,3 +175,38 @@ def test_hits_depend_on_seed_and_number_alone() -> None:
     assert one.rng.random() == same.rng.random()
     assert (one.impact.position != other.impact.position).any()
     assert 0 < one.impact.speed < 6.1
+
+
+def test_round_trip_compares_the_ways_and_skips_what_is_absent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    from round_trip import round_trip
+
+    simulate_collisions(
+        builtin("bar"), PLASTER, tmp_path / "set", collisions=4, workers=1, resolution=32, seed=1,
+        speed_range=(1.0, 2.0), prepare=collide,
+    )  # fmt: skip
+    page = round_trip((tmp_path / "set",), patterns=2, data=tmp_path, reference=tmp_path, out=tmp_path / "out")
+    lines = [line.split("|")[1:-1] for line in page.read_text().splitlines() if "simulated" in line]
+    assert [line[2].strip() for line in lines] == ["the paper's flood", "our flood", "with cuts"]
+    assert lines[2][3] == lines[2][4]
+    assert float(lines[2][6]) == 0.0
+    assert any("squirrel" in record.getMessage() for record in caplog.records)
+    with pytest.raises(BadInput, match="none given"):
+        round_trip((), out=tmp_path)
+
+
+def test_cracks_between_labels_lie_on_the_smooth_surface() -> None:
+    from round_trip import cracks_of, filled, halved
+
+    grid = Grid(32)
+    away = np.linalg.norm(grid.centres(), axis=-1)
+    labels = np.where(away < 0.6, 2, 1).astype(np.int32)
+    points, normals = cracks_of(labels, grid)
+    radii = np.linalg.norm(points, axis=1)
+    assert abs(radii - 0.6).max() < 0.5 * grid.spacing  # the voxels themselves are off by as much again
+    assert abs(abs((normals * points).sum(axis=1) / radii)).min() > 0.95
+    hollow = np.where(abs(away - 0.6) < 0.05, 0, labels).astype(np.int32)
+    assert (filled(hollow) != labels).mean() < 0.02
+    assert set(np.unique(halved(labels))) == {1, 2}
+    assert halved(labels).shape == (16, 16, 16)
