@@ -28,7 +28,7 @@ HEAVY = {
     "torch": {"learn"},
     "pybullet": {"world"},
     "rapier3d": {"world"},
-    "manifold3d": {"carve", "geometry"},
+    "manifold3d": {"carve", "geometry", "bench"},
     "viser": {"viewer"},
     "pyvista": {"export", "geometry"},
     "zarr": {"dataset"},

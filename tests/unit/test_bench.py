@@ -11,6 +11,7 @@ import pytest
 from deepfracture.bench import BENCHES, Row, bench, table
 from deepfracture.bench.rows import share
 from deepfracture.geometry import load_shape
+from deepfracture.learn import embedded_model
 from deepfracture.types import BadInput
 
 FIELDS = {"stage", "shape", "resolution", "seconds", "peak_mb", "reference", "reference_seconds"}
@@ -48,17 +49,52 @@ def test_every_room_and_the_stages_of_a_hit_are_there(rows: list[Row]) -> None:
     assert {row.reference_seconds for row in rows if row.stage == "hit"} == {35.0}
 
 
+def test_carving_stands_beside_the_usual_way_on_the_same_field(rows: list[Row]) -> None:
+    pytest.importorskip("skimage", reason="scikit-image is not installed")
+    stages = [row.stage for row in rows]
+    assert {"reference / segment", "reference / surfaces", "reference / cut"} <= set(stages)
+    assert sum(stage.startswith("reference, ") and " fragments" in stage for stage in stages) == 1
+    parts = [row.seconds for row in rows if row.stage.startswith("reference / ")]
+    (whole,) = (row.seconds for row in rows if row.stage.startswith("reference, "))
+    assert whole <= 1.5 * sum(parts)
+
+
+def test_without_its_library_the_usual_way_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("deepfracture.bench.carve.installed", lambda: False)
+    rows = bench("carve", load_shape("bar"), 32)
+    assert not any(row.stage.startswith("reference") for row in rows)
+    (line,) = (record.getMessage() for record in caplog.records if "scikit-image" in record.getMessage())
+    assert "pip install 'deepfracture[bench]'" in line
+
+
+def test_with_a_model_the_whole_way_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deepfracture.bench.carve.installed", lambda: False)
+    monkeypatch.setattr("deepfracture.bench.carve.HITS", 1)
+    stages = [row.stage for row in bench("carve", load_shape("pot"), 32)]
+    assert {"predict", "prepare, once a shape", "encode", "segment", "cut"} <= set(stages)
+    assert any(stage.startswith("whole, ") for stage in stages)
+
+
+def test_a_model_of_another_shape_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"trained on pot, not on bar"):
+        bench("carve", load_shape("bar"), 32, embedded_model("pot"))
+
+
 def test_an_uncached_set_up_does_more_than_a_cached_one(rows: list[Row]) -> None:
     parts = {row.stage for row in rows if row.stage.startswith("set-up / ")}
     assert {"set-up / remesh", "set-up / boundary elements", "set-up / distances"} <= parts
 
 
-def test_shares_are_those_of_the_hit() -> None:
+def test_shares_are_those_of_the_stage_around() -> None:
     whole = Row("hit", "bar", 32, 2.0, 1.0)
     part = Row("hit / cracks", "bar", 32, 0.5, 1.0)
     assert share(part, [whole, part]) == 0.25
     assert share(whole, [whole, part]) is None
     assert share(Row("hit / cracks", "pot", 32, 0.5, 1.0), [whole, part]) is None
+    assert share(Row("cut / cells", "bar", 32, 0.5, 1.0), [Row("cut", "bar", 32, 1.0, 1.0), whole]) == 0.5
+    assert share(Row("cut / cells", "bar", 32, 0.5, 1.0), [whole]) is None
 
 
 def test_the_table_has_a_line_a_row(rows: list[Row]) -> None:
@@ -77,7 +113,7 @@ def test_the_command_writes_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyP
     from deepfracture.cli.bench import bench as command
 
     row = Row("hit", "bar", 32, 2.0, 1.0)
-    monkeypatch.setattr("deepfracture.bench.BENCHES", {"fracture": lambda shape, resolution: [row]})
+    monkeypatch.setattr("deepfracture.bench.BENCHES", {"fracture": lambda shape, resolution, model: [row]})
     command("fracture", shape="bar", resolution=32, json_file=tmp_path / "new" / "rows.json")
     assert json.loads((tmp_path / "new" / "rows.json").read_text()) == [asdict(row)]
     assert [file.name for file in (tmp_path / "new").iterdir()] == ["rows.json"]

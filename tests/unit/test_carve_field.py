@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from deepfracture.carve import encode, segment, voronoi_pattern
+from deepfracture.carve import encode, segment, segment_as_published, voronoi_pattern
 from deepfracture.geometry import distance_to_samples
 from deepfracture.types import BadInput, FracturePattern, Grid, Volume
 
@@ -185,3 +185,59 @@ def test_voxels_of_a_wall_thinner_than_a_voxel_hang_together_at_their_edges():
     labels[diagonal, diagonal, 30] = 1
     surface = np.where(labels > 0, 0.01, -0.01)
     assert segment(encode(FracturePattern(GRID, labels, np.ones(GRID.shape)), surface)).count == 1
+
+
+def lobes(depth: float) -> Volume:
+    """Two balls, their peaks `depth` [m] above the pass between them."""
+    x, y, z = np.moveaxis(GRID.centres(), -1, 0)
+    away = np.sqrt((np.abs(x) - depth) ** 2 + y**2 + z**2)
+    return Volume(GRID, (0.4 - away).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("depth", "tolerance", "count"), [(0.3, 0.04, 2), (0.3, 0.35, 1), (0.1, 0.04, 2), (0.1, 0.2, 1)]
+)
+def test_the_published_depth_is_in_metres(depth, tolerance, count):
+    found = segment_as_published(lobes(depth), tolerance=tolerance)
+    assert found.count == count
+    np.testing.assert_array_equal(found.labels > 0, lobes(depth).values > 0)
+
+
+def test_the_published_flood_takes_no_notice_of_cuts_and_leads_through_the_cage():
+    cuts = np.zeros(GRID.shape, np.uint8)
+    cuts[31] = 1
+    whole = Volume(GRID, BALL, cuts)
+    assert segment(whole).count == 2
+    assert segment_as_published(whole).count == 1
+    values = np.full(GRID.shape, -1.0)
+    values[20:44, 20:44, 20:44] = 0.01
+    values[32] = -0.02
+    assert segment_as_published(Volume(GRID, values)).count == 1
+    values[32] = -0.04
+    assert segment_as_published(Volume(GRID, values)).count == 2
+
+
+def test_the_published_flood_finds_the_regions_of_minima_and_watershed():
+    pytest.importorskip("skimage", reason="scikit-image is not installed")
+    from scipy.ndimage import gaussian_filter
+
+    from deepfracture.bench.reference import reference_labels
+
+    rng = np.random.default_rng(5)
+    pattern = voronoi_pattern(rng.uniform(-0.5, 0.5, (14, 3)), BALL, GRID)
+    volume = Volume(GRID, gaussian_filter(encode(pattern, BALL).values, 0.7))
+    ours, theirs = segment_as_published(volume).labels, reference_labels(volume)
+    inside = (volume.values > 0) & (theirs > 0)
+    assert ours.max() == len(np.unique(theirs[inside])) > 5
+    assert variation_of_information(ours[inside], theirs[inside]) < 0.05
+
+
+def test_the_published_flood_refuses_impossible_depths():
+    for wrong in (-0.01, np.nan, np.inf):
+        with pytest.raises(BadInput, match="tolerance"):
+            segment_as_published(Volume(GRID, BALL), tolerance=wrong)
+
+
+def test_values_too_large_to_be_distances_are_as_good_as_far():
+    far = np.where(BALL > 0, np.float32(3e38), BALL)
+    assert segment(Volume(GRID, far)).count == segment_as_published(Volume(GRID, far)).count == 1

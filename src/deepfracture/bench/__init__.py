@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from deepfracture.types import BadInput, Shape
 
@@ -14,20 +15,21 @@ from .world import bench_world
 
 __all__ = ["BENCHES", "Row", "bench", "table"]
 
-BENCHES: dict[str, Callable[[Shape, int], list[Row]]] = {
-    "fracture": bench_fracture,
+BENCHES: dict[str, Callable[[Shape, int, Path | None], list[Row]]] = {
+    "fracture": lambda shape, resolution, _: bench_fracture(shape, resolution),
     "carve": bench_carve,
     "learn": bench_learn,
-    "world": bench_world,
+    "world": lambda shape, resolution, _: bench_world(shape, resolution),
 }
 
 
-def bench(room: str, shape: Shape, resolution: int) -> list[Row]:
-    """Measure one room of `BENCHES`, or `all` of them one after the other.
+def bench(room: str, shape: Shape, resolution: int, model: Path | None = None) -> list[Row]:
+    """Measure one room of `BENCHES`, or `all` of them one after the other; `model` is what predicts, where that
+    is part of it, in place of the shipped one.
 
     Memory is that of the whole process so far: what counts is the first row that raises it."""
     if room == "all":
-        return [row for each in BENCHES.values() for row in each(shape, resolution)]
+        return [row for each in BENCHES.values() for row in each(shape, resolution, model)]
     if room not in BENCHES:
         raise BadInput(f"bench {room!r}: unknown; choose one of {', '.join(BENCHES)} or all")
-    return BENCHES[room](shape, resolution)
+    return BENCHES[room](shape, resolution, model)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
-from deepfracture.progress import Stage, collect_stages, peak_mb
+from deepfracture.progress import collect_stages, peak_mb
 from deepfracture.types import Grid, Impact, Shape
 
 from .hits import random_hits
-from .rows import RUNS, WHOLE, Row, median_seconds, seconds
+from .rows import RUNS, WHOLE, Row, median_seconds, seconds, stage_totals
 
 MATERIAL = "plaster"
 HITS = 12
@@ -55,7 +55,7 @@ def hit_cost(body: FractureBody, impact: Impact, seed: int) -> HitCost:
         spent = seconds(lambda: found.append(simulate(body, impact, np.random.default_rng(seed))))
     cracking = found[0]
     cracks, fragments = (cracking.cracks, cracking.pattern.count) if cracking else (0, 1)
-    return HitCost(float(impact.magnitude[0]), spent, _totals(stages), cracks, fragments)
+    return HitCost(float(impact.magnitude[0]), spent, stage_totals(stages), cracks, fragments)
 
 
 def _set_up(shape: Shape, resolution: int) -> tuple[list[Row], FractureBody]:
@@ -63,7 +63,7 @@ def _set_up(shape: Shape, resolution: int) -> tuple[list[Row], FractureBody]:
     runs = []
     for _ in range(RUNS + 1):
         with empty_cache(), collect_stages() as stages:
-            runs.append((seconds(lambda: prepare_body(shape, made_of, grid)), _totals(stages)))
+            runs.append((seconds(lambda: prepare_body(shape, made_of, grid)), stage_totals(stages)))
     rows = [Row("set-up, nothing cached", shape.name, resolution, _median(spent for spent, _ in runs[1:]), peak_mb())]
     for name in runs[-1][1]:
         part = _median(parts[name] for _, parts in runs[1:])
@@ -91,13 +91,6 @@ def _hits(name: str, resolution: int, costs: Sequence[HitCost]) -> list[Row]:
 
 def _median(values: Iterator[float]) -> float:
     return float(np.median(list(values)))
-
-
-def _totals(stages: Sequence[Stage]) -> dict[str, float]:
-    totals: dict[str, float] = {}
-    for done in stages:
-        totals[done.stage] = totals.get(done.stage, 0.0) + done.seconds
-    return totals
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from deepfracture.fracture import material
@@ -17,9 +19,10 @@ SHIPPED = "pot"
 """The shape whose model is measured where the one asked for has none of its own."""
 
 
-def bench_learn(shape: Shape, resolution: int) -> list[Row]:
-    """Load and predict with the shipped model of `shape`, or that of the pot; `resolution` is the model's own."""
-    path = embedded_model(shape.name)
+def bench_learn(shape: Shape, resolution: int, path: Path | None = None) -> list[Row]:
+    """Load and predict with the model in `path`, or the shipped one of `shape`, or that of the pot; `resolution` is
+    the model's own."""
+    path = path or embedded_model(shape.name)
     if path is None:
         shape, path = load_shape(SHIPPED), embedded_model(SHIPPED)
     assert path is not None, "the shipped model is part of the package"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.progress import peak_mb
+from deepfracture.progress import Stage, peak_mb
 
 RUNS = 5
 """Warm runs whose median counts."""
@@ -46,6 +46,14 @@ def seconds(job: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
+def stage_totals(stages: Sequence[Stage]) -> dict[str, float]:
+    """Seconds of each stage, all its calls together."""
+    totals: dict[str, float] = {}
+    for done in stages:
+        totals[done.stage] = totals.get(done.stage, 0.0) + done.seconds
+    return totals
+
+
 def measure(
     stage: str, shape: str, resolution: int, job: Callable[[], object], reference: tuple[str, float | None] = ("", None)
 ) -> Row:
@@ -54,9 +62,10 @@ def measure(
 
 
 def share(row: Row, rows: Sequence[Row]) -> float | None:
-    """The part of the whole hit that a stage of it takes; None for anything else."""
-    whole = [r.seconds for r in rows if r.stage == WHOLE and (r.shape, r.resolution) == (row.shape, row.resolution)]
-    return row.seconds / whole[0] if whole and row.stage.startswith(f"{WHOLE} / ") else None
+    """The part of the stage `a` that its part `a / b` takes; None for anything else."""
+    whole, _, part = row.stage.rpartition(" / ")
+    among = [r.seconds for r in rows if (r.stage, r.shape, r.resolution) == (whole, row.shape, row.resolution)]
+    return row.seconds / among[0] if part and among else None
 
 
 def table(rows: Sequence[Row]) -> str:

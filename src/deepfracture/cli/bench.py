@@ -10,7 +10,7 @@ from pathlib import Path
 from deepfracture.progress import log
 
 
-def bench(room: str, *, shape: str, resolution: int, json_file: Path | None) -> None:
+def bench(room: str, *, shape: str, resolution: int, model: Path | None = None, json_file: Path | None) -> None:
     """Measure `room` on `shape`, log the table, and write the rows to `json_file` if there is one."""
     from deepfracture.bench import bench as run
     from deepfracture.bench import table
@@ -19,7 +19,7 @@ def bench(room: str, *, shape: str, resolution: int, json_file: Path | None) -> 
     level = log.level
     log.setLevel("WARNING")  # each stage would say how long it took
     try:
-        rows = run(room, load_shape(shape), resolution)
+        rows = run(room, load_shape(shape), resolution, model)
     finally:
         log.setLevel(level)
     log.info("%s", table(rows))

@@ -199,6 +199,7 @@ def bench(
     /,
     shape: str = "pot",
     resolution: int = 128,
+    model: Path | None = None,
     json: Path | None = None,
 ) -> None:
     """Measure what each stage takes on this machine: seconds in the median of warm runs, and memory.
@@ -207,11 +208,12 @@ def bench(
         room: fracture, carve, learn, world or all.
         shape: a mesh file, or a built-in shape.
         resolution: voxels along each axis.
+        model: a trained model for predictions, in place of the shipped one of the shape.
         json: also write the rows to this file.
     """
     from .bench import bench as run
 
-    run(room, shape=shape, resolution=resolution, json_file=json)
+    run(room, shape=shape, resolution=resolution, model=model, json_file=json)
 
 
 @app.command
