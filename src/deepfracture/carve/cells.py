@@ -28,7 +28,7 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
     edges = _edges(labels, ground.voxels)
-    return labels, _edges(labels, ground.voxels) if _join_diagonals(labels, edges) else edges
+    return labels, _renewed(labels, edges, _join_diagonals(labels, edges))
 
 
 @njit(cache=True)
@@ -50,12 +50,21 @@ def _on_ground(source, voxels, on_grid, shape):
 
 @njit(cache=True)
 def _grow(labels, empty):
-    """Label each voxel of `empty` beside labelled ones as most of its 26 neighbours, near ones counting more.
-    Returns those that are still empty."""
+    """Label each voxel of `empty` as the labelled ones across its faces if they agree, else as most of its 26
+    neighbours, near ones counting more. Returns those that are still empty."""
     flat, s1, s0 = labels.reshape(-1), labels.shape[2], labels.shape[1] * labels.shape[2]
     found = np.zeros(len(empty), np.int32)
     names, votes = np.empty(26, np.int32), np.empty(26)
     for e in range(len(empty)):
+        # Most lie beside one label only.
+        name = 0
+        for step in (-1, 1, -s1, s1, -s0, s0):
+            beside = flat[empty[e] + step]
+            if beside != 0 and name >= 0:
+                name = beside if name == 0 or name == beside else -1
+        if name > 0:
+            found[e] = name
+            continue
         used = 0
         for n in range(27):
             x, y, z = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
@@ -107,34 +116,63 @@ def _edges(labels, voxels):
 
 
 @njit(cache=True)
+def _renewed(labels, edges, changed):
+    """The edges after some voxels have changed."""
+    if len(changed) == 0:
+        return edges
+    flat = labels.reshape(-1)
+    strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
+    dirty = np.zeros(flat.size, np.bool_)
+    for v in changed:
+        dirty[v] = True
+    fresh = np.empty((len(edges) + 6 * len(changed), 2), np.int64)
+    count = 0
+    for e in range(len(edges)):
+        if not (dirty[edges[e, 0]] or dirty[edges[e, 0] + strides[edges[e, 1]]]):
+            fresh[count] = edges[e]
+            count += 1
+    for v in changed:
+        if not dirty[v]:
+            continue
+        dirty[v] = False  # its edges to voxels that are still dirty come with those
+        for axis in range(3):
+            for first in (v, v - strides[axis]):
+                other = first + strides[axis]
+                if flat[first] == 0 or flat[other] == 0 or flat[first] == flat[other] or dirty[first] or dirty[other]:
+                    continue
+                fresh[count, 0], fresh[count, 1] = first, axis
+                count += 1
+    return fresh[:count].copy()
+
+
+@njit(cache=True)
 def _join_diagonals(labels, edges):
-    """Mend every square of four voxels in which a label holds two opposite corners only; whether there was one.
+    """Mend every square of four voxels in which a label holds two opposite corners only; the voxels that change.
 
     The higher label gives way to the lower, so that this comes to an end; what a change spoils nearby is looked at
     next. The border of the array is empty."""
     flat = labels.reshape(-1)
     strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
     changed = np.empty(64, np.int64)
-    top, any_change = 0, False
+    top, done = 0, 0
     for e in range(len(edges)):
         p = strides[edges[e, 1]]
         for q in strides:
             if q != p:
                 top, changed = _mend(flat, edges[e, 0], p, q, changed, top)
-        any_change |= top > 0
-        while top > 0:
-            top -= 1
-            u = changed[top]
+        while done < top:
+            u = changed[done]
+            done += 1
             for axis in range(3):
                 p, q = strides[(axis + 1) % 3], strides[(axis + 2) % 3]
                 for back in (0, p, q, p + q):
                     top, changed = _mend(flat, u - back, p, q, changed, top)
-    return any_change
+    return changed[:top].copy()
 
 
 @njit(cache=True, inline="always")
 def _mend(flat, v, p, q, changed, top):
-    """Mend the square v, v + p, v + q, v + p + q, and add a changed voxel to the stack."""
+    """Mend the square v, v + p, v + q, v + p + q, and add a changed voxel to the list."""
     a, b, c, d = flat[v], flat[v + p], flat[v + q], flat[v + p + q]
     if a in (b, c) or a == 0 or b == 0 or c == 0 or d == 0:
         return top, changed

@@ -16,6 +16,10 @@ OUTSIDE, INSIDE = 1, 2
 """Sides of the body's surface, as labels."""
 
 
+SURE = 1e-14
+"""Relative rounding of a height above a plane in floats, with room to spare: some ten operations."""
+
+
 class NotGeneral(ArithmeticError):
     """Crack and surface are not in general position as far as rounding can tell; other jitter will do."""
 
@@ -160,9 +164,10 @@ def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, st
     count = 0
     seen = np.full(len(faces), -1, np.int64)
     row = np.empty(6, np.int64)
-    s, c, box = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
+    s, c, box, planes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3)), np.empty((4, 9))
     for quad in range(len(around)):
-        _bound(sheet_points, triangles, quads[quad], quads[quad + 1], box)
+        first, last = quads[quad], quads[quad + 1]
+        known = False
         for corner in range(4):
             cube = around[quad, corner]
             for m in range(start[cube], start[cube + 1]):
@@ -170,29 +175,70 @@ def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, st
                 if seen[face] == quad:
                     continue
                 seen[face] = quad
+                if not known:
+                    _bound(sheet_points, triangles, first, last, box)
+                    _planes(sheet_points, triangles, first, last, planes)
+                    known = True
                 if _apart(points, faces, face, box):
                     continue
-                _copy(points, faces, face, s)
-                for triangle in range(quads[quad], quads[quad + 1]):
+                copied = False
+                for triangle in range(first, last):
+                    if _on_one_side(points, faces, face, planes[triangle - first]):
+                        continue
+                    if not copied:
+                        _copy(points, faces, face, s)
+                        copied = True
                     _copy(sheet_points, triangles, triangle, c)
                     found = _segment(s, c, row)
                     if found < 0:
                         return True, segments[:0]
                     if found == 0:
                         continue
-                    row[0], row[1] = face, triangle
-                    for end in (2, 4):
-                        n = row[end + 1]
-                        if row[end] == 0:
-                            row[end], row[end + 1] = ~edge_of[face, n], triangle
-                        else:
-                            one, two = triangles[triangle, n], triangles[triangle, (n + 1) % 3]
-                            row[end], row[end + 1] = edge_code(one, two, len(sheet_points)), face
+                    _name(row, face, triangle, edge_of, triangles, len(sheet_points))
                     if count == len(segments):
                         segments = np.concatenate((segments, np.empty_like(segments)))
                     segments[count] = row
                     count += 1
     return False, segments[:count].copy()
+
+
+@njit(cache=True, inline="always")
+def _name(row, face, triangle, edge_of, triangles, count):
+    """Put the names of edges and triangles into a row from `_segment`."""
+    row[0], row[1] = face, triangle
+    for end in (2, 4):
+        n = row[end + 1]
+        if row[end] == 0:
+            row[end], row[end + 1] = ~edge_of[face, n], triangle
+        else:
+            row[end], row[end + 1] = edge_code(triangles[triangle, n], triangles[triangle, (n + 1) % 3], count), face
+
+
+@njit(cache=True)
+def _planes(points, triangles, first, last, planes):
+    """A corner, the normal, and what bounds the normal's rounding, of some triangles."""
+    for t in range(first, last):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        for x in range(3):
+            y, z = (x + 1) % 3, (x + 2) % 3
+            one = (points[b, y] - points[a, y]) * (points[c, z] - points[a, z])
+            two = (points[b, z] - points[a, z]) * (points[c, y] - points[a, y])
+            planes[t - first, x], planes[t - first, 3 + x] = points[a, x], one - two
+            planes[t - first, 6 + x] = SURE * (abs(one) + abs(two))
+
+
+@njit(cache=True, inline="always")
+def _on_one_side(points, faces, face, plane):
+    """Whether a face lies on one side of a plane beyond doubt."""
+    above, below = 0, 0
+    for n in range(3):
+        v = faces[face, n]
+        x, y, z = points[v, 0] - plane[0], points[v, 1] - plane[1], points[v, 2] - plane[2]
+        height = x * plane[3] + y * plane[4] + z * plane[5]
+        doubt = abs(x) * plane[6] + abs(y) * plane[7] + abs(z) * plane[8]
+        above += height > doubt
+        below += height < -doubt
+    return above == 3 or below == 3
 
 
 @njit(cache=True, inline="always")

@@ -81,7 +81,9 @@ def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Shee
         walls = sheet_walls(ground, sheets, crossing)
     with stage("divide"):
         faces = _faces(mesh, grid, ground, sheets, crossing, cells, walls)
-        faces = without_short_edges(faces, SHORT * grid.spacing, len(mesh.vertices))
+        faces = without_short_edges(
+            faces, SHORT * grid.spacing, len(mesh.vertices), len(mesh.vertices) + len(sheets.points)
+        )
     if not len(faces.inner):
         return [whole]
     with stage("solids"):
@@ -102,12 +104,17 @@ def _faces(
     boxed = np.concatenate([ground.points, sheets.points, crossing.positions])
 
     outer = divide(
-        crossed_triangles(ground.faces, cells, ground.edge_of, crossing.surface_nodes, crossing.on_faces, 0, n + v),
+        crossed_triangles(
+            ground.faces, cells, lambda crossed: ground.edge_of[crossed], crossing.surface_nodes, crossing.on_faces,
+            0, n + v,
+        ),
         boxed, unwanted=0,
     )  # fmt: skip
-    codes = edge_codes(sheets.triangles, v)
     inner = divide(
-        crossed_triangles(sheets.triangles, walls, codes, crossing.sheet_nodes, crossing.on_sheets, n, n + v),
+        crossed_triangles(
+            sheets.triangles, walls, lambda crossed: edge_codes(sheets.triangles[crossed], v), crossing.sheet_nodes,
+            crossing.on_sheets, n, n + v,
+        ),
         boxed, unwanted=OUTSIDE,
     )  # fmt: skip
     whole = np.ones(len(mesh.faces), np.bool_)

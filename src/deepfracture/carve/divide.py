@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,14 +54,20 @@ class Crossed:
 
 
 def crossed_triangles(
-    triangles: Ints, labels: Ints, codes: Ints, nodes: EdgeNodes, segments: Segments, first: int, first_node: int
+    triangles: Ints,
+    labels: Ints,
+    codes: Callable[[Ints], Ints],
+    nodes: EdgeNodes,
+    segments: Segments,
+    first: int,
+    first_node: int,
 ) -> Crossed:
     """The triangles with segments.
 
     Args:
         triangles: Vertices of all triangles, shape (t, 3).
         labels: Of the vertices.
-        codes: Code of the edge from each corner to the next, shape (t, 3).
+        codes: Gives the codes of the edges from each corner to the next of some triangles.
         nodes: Those on the edges.
         segments: Between nodes.
         first, first_node: Rows of the first vertex and the first node in the table of positions.
@@ -69,7 +76,7 @@ def crossed_triangles(
     names, start = np.unique(segments.triangle[order], return_index=True)
     corners = triangles[names]
     rim_start, rim, beyond = _rims(
-        codes[names], corners < np.roll(corners, -1, axis=1), nodes.edges, nodes.start, nodes.nodes, nodes.before,
+        codes(names), corners < np.roll(corners, -1, axis=1), nodes.edges, nodes.start, nodes.nodes, nodes.before,
         nodes.after,
     )  # fmt: skip
     tail, head, left, right = (

@@ -18,45 +18,66 @@ MANY = 64
 """Faces at a vertex above which its edges stay."""
 
 
-def without_short_edges(faces: Faces, shortest: float, originals: int) -> Faces:
+def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_from: int) -> Faces:
     """The same faces with no edge below `shortest` [m] that can go: both its points become one.
 
     The first `originals` points, the surface's own vertices, never move, and outer faces stay in the plane of their
     source. An edge goes only if the cells on both sides of it remain what they were: every cell that meets at one of
-    its points meets along all of it, and no two faces become one (link condition, Dey et al. 1999)."""
-    corners = np.concatenate([faces.outer, faces.inner])
-    outside = np.zeros((len(faces.outer), 1), np.int64)
-    sides = np.concatenate([np.concatenate([outside, faces.cell[:, None]], axis=1), faces.sides])
-    source = np.concatenate([faces.source, np.full(len(faces.inner), -1)])
+    its points meets along all of it, and no two faces become one (link condition, Dey et al. 1999). Only edges at the
+    points from `nodes_from` on are looked at, where cracks cross the surface."""
+    of_outer, of_inner = _near(faces.outer, faces.inner, nodes_from, len(faces.positions))
+    corners = np.concatenate([faces.outer[of_outer], faces.inner[of_inner]])
+    outside = np.stack([np.zeros(len(of_outer), np.int64), faces.cell[of_outer]], axis=1)
+    sides = np.concatenate([outside, faces.sides[of_inner]])
+    source = np.concatenate([faces.source[of_outer], np.full(len(of_inner), -1)])
     changed = False
     for _ in range(PASSES):
-        short = _short_edges(faces.positions, corners, shortest, originals)
+        short = _short_edges(faces.positions, corners, shortest, nodes_from)
         if not len(short) or not _collapse(faces.positions, corners, sides, source, short, shortest, originals):
             break
         changed = True
     if not changed:
         return faces
-    left = corners[:, 0] >= 0
-    outer, inner = left[: len(faces.outer)], left[len(faces.outer) :]
+    outer, inner = faces.outer.copy(), faces.inner.copy()
+    outer[of_outer], inner[of_inner] = corners[: len(of_outer)], corners[len(of_outer) :]
+    left, right = outer[:, 0] >= 0, inner[:, 0] >= 0
     return replace(
-        faces,
-        outer=corners[: len(outer)][outer],
-        source=faces.source[outer],
-        cell=faces.cell[outer],
-        inner=corners[len(outer) :][inner],
-        sides=faces.sides[inner],
-    )
+        faces, outer=outer[left], source=faces.source[left], cell=faces.cell[left], inner=inner[right],
+        sides=faces.sides[right],
+    )  # fmt: skip
 
 
 @njit(cache=True)
-def _short_edges(positions, corners, shortest, originals):
-    """Edges below the length, the shortest first, without those of the original, shape (s, 2)."""
+def _near(outer, inner, nodes_from, count):
+    """The faces at a point of a face with a node, by their rows in both arrays."""
+    marked = np.zeros(count, np.bool_)
+    for faces in (outer, inner):
+        for f in range(len(faces)):
+            if max(faces[f, 0], faces[f, 1], faces[f, 2]) >= nodes_from:
+                marked[faces[f, 0]] = marked[faces[f, 1]] = marked[faces[f, 2]] = True
+    return _marked(outer, marked), _marked(inner, marked)
+
+
+@njit(cache=True)
+def _marked(faces, marked):
+    found = np.empty(len(faces), np.int64)
+    used = 0
+    for f in range(len(faces)):
+        if marked[faces[f, 0]] or marked[faces[f, 1]] or marked[faces[f, 2]]:
+            found[used] = f
+            used += 1
+    return found[:used].copy()
+
+
+@njit(cache=True)
+def _short_edges(positions, corners, shortest, nodes_from):
+    """Edges at a node below the length, the shortest first, the lower point first, shape (s, 2)."""
     found, lengths = np.empty((16, 2), np.int64), np.empty(16)
     count = 0
     for f in range(len(corners)):
         for n in range(3):
             a, b = corners[f, n], corners[f, (n + 1) % 3]
-            if a > b or a < 0 or b < originals:
+            if a > b or a < 0 or b < nodes_from:
                 continue
             square = 0.0
             for x in range(3):

@@ -6,7 +6,7 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
@@ -198,7 +198,7 @@ def _sorted(solid, goes, count):
     return order, start
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _twins(corners, cell, count):
     """For the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
     surface. The first is -2 if some edge has none or several."""
@@ -218,11 +218,12 @@ def _twins(corners, cell, count):
     twin = np.full(3 * len(corners), -1, np.int32)
     cells = np.int64(cell.max() + 1)
     keys = np.empty(len(bucket), np.int64)
-    for e in range(len(bucket)):
-        f, n = bucket[e] // 3, bucket[e] % 3
-        keys[e] = np.int64(max(corners[f, n], corners[f, (n + 1) % 3])) * cells + cell[f]
-    for v in range(count):
+    failed = np.zeros(count, np.bool_)
+    for v in prange(count):
         first, last = start[v], start[v + 1]
+        for e in range(first, last):
+            f, n = bucket[e] // 3, bucket[e] % 3
+            keys[e] = np.int64(max(corners[f, n], corners[f, (n + 1) % 3])) * cells + cell[f]
         crowded = last - first > CROWD
         if crowded:
             order = np.argsort(keys[first:last])
@@ -239,8 +240,9 @@ def _twins(corners, cell, count):
                 elif crowded:
                     break
             if found != 1 or (corners[own // 3, own % 3] == v) == (corners[twin[own] // 3, twin[own] % 3] == v):
-                twin[0] = -2
-                return twin
+                failed[v] = True
+    if failed.any():
+        twin[0] = -2
     return twin
 
 
