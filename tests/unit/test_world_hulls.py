@@ -8,7 +8,8 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from deepfracture.geometry import builtin, signed_distance_points
 from deepfracture.types import Mesh
-from deepfracture.world.hulls import WHOLE_PARTS, piece_hulls, whole_hulls
+from deepfracture.world.convex import between, clip, corners, hull, planes, volume
+from deepfracture.world.hulls import PIECE_EXCESS, WHOLE_PARTS, piece_hulls, whole_hulls
 
 
 @pytest.mark.parametrize(("name", "air"), [("bar", 1e-6), ("mug", 0.1), ("pot", 0.17), ("letter_a", 0.08)])
@@ -49,7 +50,7 @@ def test_a_convex_piece_is_one_hull_shrunk_towards_its_centre() -> None:
     low, high = hull.points[0].min(axis=0), hull.points[0].max(axis=0)
     assert (low > 0).all()
     assert (low < 0.006).all()
-    np.testing.assert_allclose(low + high, [1, 2, 0.5], atol=1e-9)
+    np.testing.assert_allclose(low + high, [1, 2, 0.5], atol=4e-5)  # as hulls are joggled
 
 
 def test_a_round_piece_keeps_its_roundness() -> None:
@@ -59,7 +60,7 @@ def test_a_round_piece_keeps_its_roundness() -> None:
     (hull,) = piece_hulls([Mesh(ball.vertices, ball.faces)])
     (points,) = hull.points
     faces = ConvexHull(points).equations
-    assert -faces[:, 3].max() > 0.49  # every face of the hull is that far out
+    assert -faces[:, 3].max() > 0.475  # every face of the hull is that far out
 
 
 def test_pieces_that_lie_in_each_other_do_not_collide_at_birth() -> None:
@@ -77,3 +78,66 @@ def test_pieces_that_lie_in_each_other_do_not_collide_at_birth() -> None:
     for points in parts.points:
         covered |= Delaunay(points).find_simplex(inside) >= 0
     assert covered.mean() < 0.15
+
+
+def test_a_hull_is_that_of_scipy_but_for_its_sag() -> None:
+    rng = np.random.default_rng(1)
+    for points in (rng.normal(size=(12, 3)), rng.uniform(size=(300, 3)), rng.integers(0, 4, (200, 3)).astype(float)):
+        found = hull(points, 1e-6)
+        assert volume(found) == pytest.approx(ConvexHull(points).volume, rel=1e-4)
+        exact = ConvexHull(corners(hull(points, 0.05))).equations
+        assert (points @ exact[:, :3].T + exact[:, 3]).max() < 0.05 + 1e-4
+
+
+@pytest.mark.parametrize("flat", [(1, 1, 0), (1, 0, 0), (0, 0, 0)])
+def test_what_is_flat_has_a_solid_hull(flat: tuple[float, float, float]) -> None:
+    points = np.random.default_rng(2).uniform(-1, 1, (40, 3)) * flat
+    found = hull(points, 0.004)
+    sides = np.ptp(corners(found), axis=0)
+    assert volume(found) == pytest.approx(np.prod(sides))
+    assert sides.min() == pytest.approx(0.004)
+
+
+def test_a_cut_solid_keeps_its_volume() -> None:
+    mesh = builtin("mug").mesh
+    normal = np.array([0.6, 0.0, 0.8])
+    below, above, rim = clip(mesh.triangles.copy(), np.ones(len(mesh.faces), bool), normal, 0.1)
+    assert volume(below[0]) + volume(above[0]) == pytest.approx(mesh.volume)
+    np.testing.assert_allclose(rim @ normal, 0.1, atol=1e-12)
+    assert (below[0][below[1]] @ normal).max() < 0.1 + 1e-9
+
+
+def _wavy_halves() -> list[Mesh]:
+    """A block in two, the one's wave in the other's trough: their hulls overlap by a tenth of it."""
+    x, y = np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21), indexing="ij")
+    wave = 0.5 + 0.05 * np.sin(4 * np.pi * x)
+    return [_slab(x, y, 0 * x, wave), _slab(x, y, wave, 0 * x + 1)]
+
+
+def _slab(x: np.ndarray, y: np.ndarray, low: np.ndarray, high: np.ndarray) -> Mesh:
+    """What lies between two height fields."""
+    n = len(x)
+    index = np.arange(n * n).reshape(n, n)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    top = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    rim = np.concatenate([index[:, 0], index[-1, 1:], index[-2::-1, -1], index[0, -2:0:-1]])
+    after = np.roll(rim, -1)
+    side = np.concatenate([np.stack([rim, after, after + n * n], -1), np.stack([rim, after + n * n, rim + n * n], -1)])
+    points = np.concatenate([np.stack([x, y, z], -1).reshape(-1, 3) for z in (low, high)])
+    return Mesh(points, np.concatenate([top[:, ::-1], top + n * n, side]))
+
+
+def test_hulls_of_neighbours_do_not_overlap() -> None:
+    halves = _wavy_halves()
+    assert sum(half.volume for half in halves) == pytest.approx(1)
+    assert np.ptp(halves[0].vertices[:, 2]) + np.ptp(halves[1].vertices[:, 2]) > 1.09
+    one, two = piece_hulls(halves)
+    for first in one.points:
+        for second in two.points:
+            solids = hull(first, 1e-4), hull(second, 1e-4)
+            plane = np.array([0, 0, 0, 0, np.inf])
+            between(planes(solids[0]), second, plane)
+            between(planes(solids[1]), first, plane)
+            assert plane[4] < 1e-3
+    for hulls in (one, two):
+        assert abs(hulls.excess) < PIECE_EXCESS

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
+from deepfracture.breakers.learned import Learned
+from deepfracture.breakers.restrict import on_whole, restricted
+from deepfracture.carve import encode
 from deepfracture.fracture import critical_stress, material, prepare_piece, similar
 from deepfracture.fracture.contact import contacts
 from deepfracture.geometry import mass_properties
-from deepfracture.types import Fragment, Fragments, Grid, Impact, Mesh, Shape
+from deepfracture.types import FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape, Volume
 from deepfracture.world.pieces import as_shape, real, scaled
 
 PLASTER = material("plaster")
@@ -101,3 +106,58 @@ def test_a_piece_is_prepared_coarsely_and_not_kept(tmp_path, monkeypatch: pytest
     assert 300 < len(body.elastic.mesh.faces) < 800
     assert body.material == similar(PLASTER, PIECE.size)
     assert not list(tmp_path.rglob("*"))
+
+
+def _slabs(*cuts: float) -> tuple[FracturePattern, np.ndarray]:
+    """The beam in slabs across x, and its distance to the surface."""
+    grid = Grid(64)
+    x = grid.centres()
+    surface = (np.array([1, 0.4, 0.3]) - np.abs(x)).min(axis=-1).astype(np.float32)
+    labels = np.where(surface > 0, 1 + sum((x[..., 0] > cut).astype(int) for cut in cuts), 0)
+    away = np.min([np.abs(x[..., 0] - cut) for cut in cuts], axis=0)
+    return FracturePattern(grid, labels, away), surface
+
+
+def test_a_piece_takes_what_a_pattern_of_the_whole_does_within_it() -> None:
+    """Planes across the beam: one within the corner (0.5 to 1), one not."""
+    pattern, _ = _slabs(-0.3, 0.613)
+    own = restricted(pattern, PIECE)
+    assert own.grid.resolution == 32  # voxels no larger than the whole's
+    assert own.count == 2
+    x = own.grid.centres()[..., 0] * PIECE.size + 0.75
+    inside = own.labels > 0
+    assert ((own.labels == own.labels.max()) == (x > 0.613))[inside].all()  # finer than a voxel of the whole
+    np.testing.assert_allclose((own.distance * PIECE.size)[inside], np.abs(x - 0.613)[inside], atol=0.017)
+
+
+def _blow(strength: float) -> Impact:
+    normal = np.array([[0.0, 0.0, 1.0]])
+    return Impact(np.array([[0.6, -0.1, 0.3]]), -normal, np.array([strength]), normal, speed=6.0, radius=0.2)
+
+
+def test_a_blow_on_a_piece_is_one_on_the_whole_at_the_same_place() -> None:
+    own = scaled(_blow(40.0), PIECE)
+    there = on_whole(own, PIECE)
+    np.testing.assert_allclose(there.position, _blow(40.0).position)
+    assert there.magnitude[0] == pytest.approx(own.magnitude[0])  # as strong as it is for the piece
+
+
+def test_a_model_of_the_whole_breaks_a_piece_within_bounds() -> None:
+    asked: list[Impact] = []
+
+    def answers(impact: Impact, rng: np.random.Generator) -> Iterator[Volume]:
+        asked.append(impact)
+        for cuts in ((-0.3,), (-0.3, 0.613)):  # the first parts the piece nowhere
+            yield encode(*_slabs(*cuts))
+
+    learned = Learned(answers, weakest=1000.0)
+    rng = np.random.default_rng(0)
+    broken = learned(PIECE, scaled(_blow(40.0), PIECE), rng)
+    assert broken is not None
+    assert broken.count == 2
+    assert learned(PIECE, scaled(_blow(10.0), PIECE), rng) is None  # 640 in its own frame: a model knows no such blow
+    assert len(asked) == 1
+    whole = learned(WHOLE, _blow(10.0), rng)
+    assert whole is not None
+    assert whole.count == 2
+    np.testing.assert_array_equal(asked[1].position, _blow(10.0).position)

@@ -111,13 +111,18 @@ def _wave_ways(shape: Shape, material: Material, path: Path, memory: Memory | No
         "no random code": Way(random=False),
     }
     sources: dict[str, PatternSource] = {
-        name: Learned(partial(predictions, model, way=way)) for name, way in found.items()
+        name: Learned(partial(predictions, model, way=way), _weakest(model)) for name, way in found.items()
     }
     if memory is not None:
         if len(model.choice.rows) != len(memory.dataset):
             raise BadInput(f"{path}: trained on {len(model.choice.rows)} patterns, {memory.dataset.path} holds others")
         sources["no network"] = Typical(model, memory)
     return sources
+
+
+def _weakest(model: Model) -> float:
+    """The weakest impulse that broke the shape in training [N s]."""
+    return float(model.choice.rows[:, 0, 6].min() + 1) / 2 * model.normaliser.max_impulse
 
 
 def _field_ways(shape: Shape, material: Material, path: Path) -> dict[str, PatternSource]:

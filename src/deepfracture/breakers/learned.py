@@ -13,6 +13,7 @@ from deepfracture.progress import log, stage
 from deepfracture.types import FracturePattern, Impact, Shape, Volume
 
 from .recalled import Memory
+from .restrict import on_whole, restricted
 
 if TYPE_CHECKING:
     from deepfracture.learn import Model
@@ -23,12 +24,23 @@ ATTEMPTS = 5
 
 @dataclass(frozen=True)
 class Learned:
-    """Predict the GS-SDF, then segment it; what would leave the shape whole gives way to the next answer."""
+    """Predict the GS-SDF, then segment it; what would leave the shape whole gives way to the next answer.
+
+    A model knows one shape. A fragment of it is carved by a fresh prediction of the whole, for a blow at the
+    place where it meets the fragment and as strong as it is for the fragment (by dynamic similarity), of which
+    the fragment takes what lies within it. It holds where `ATTEMPTS` answers part it nowhere, and where the
+    blow is weaker than any that has broken the whole in training: of those a model knows nothing."""
 
     answers: Callable[[Impact, np.random.Generator], Iterator[Volume]]
     """Predictions for an impact, the best first."""
+    weakest: float = 0.0
+    """Impulse that broke the whole in training with the least effort [N s]."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
+        if shape.whole is not None:
+            if impact.magnitude[0] < self.weakest:
+                return None
+            impact = on_whole(impact, shape)
         found = self.answers(impact, rng)
         for attempt in range(ATTEMPTS):
             with stage("predict"):
@@ -37,9 +49,13 @@ class Learned:
                 break
             with stage("segment"):
                 pattern = segment(volume)
+            if shape.whole is not None and pattern.count > 1:
+                with stage("restrict"):
+                    pattern = restricted(pattern, shape)
             if pattern.count > 1:
                 return pattern
-            log.warning("%s: prediction %d is of one piece; the next code is tried", shape.name, attempt + 1)
+            tell = log.warning if shape.whole is None else log.info
+            tell("%s: prediction %d is of one piece; the next code is tried", shape.name, attempt + 1)
         return None
 
 

@@ -156,11 +156,19 @@ def rotation(quat_wxyz: Floats) -> Floats:
 
 
 def quaternion(matrix: Floats) -> Floats:
-    """Unit quaternion (w, x, y, z) of a rotation matrix, shape (4,)."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(matrix).as_quat()
-    return np.array([w, x, y, z])
+    """Unit quaternion (w, x, y, z) of a rotation matrix, shape (4,): Shepperd 1978, the greatest first."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    squares = (a + e + i, a, e, i)
+    k = squares.index(max(squares))
+    if k == 0:
+        quat = np.array([1 + a + e + i, h - f, c - g, d - b])
+    elif k == 1:
+        quat = np.array([h - f, 1 + a - e - i, b + d, c + g])
+    elif k == 2:
+        quat = np.array([c - g, b + d, 1 - a + e - i, f + h])
+    else:
+        quat = np.array([d - b, c + g, f + h, 1 - a - e + i])
+    return quat / np.linalg.norm(quat)
 
 
 def times(first: Floats, second: Floats) -> Floats:

@@ -10,34 +10,40 @@ overlap.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.types import Floats, Mesh
+from deepfracture.types import Floats, Ints, Mesh
+from deepfracture.world.apart import apart
+from deepfracture.world.convex import clip
+from deepfracture.world.parts import parts
 
 WHOLE_PARTS, WHOLE_EXCESS = 64, 0.05
 """Most parts of a whole shape, and how much hull volume [of the mesh volume] may be air."""
-PIECE_PARTS, PIECE_EXCESS = 8, 0.20
+PIECE_PARTS, PIECE_EXCESS = 16, 0.15
 """The same for a fragment."""
 SHRINK, GAP = 0.02, 0.002
-"""How much nearer to its own centre the hull of a fragment is: this share, but at most `GAP` [m]. Hulls of
-rough crack surfaces poke into their neighbours; without this gap they would push each other apart."""
+"""How much nearer to its own centre the hull of a fragment is: this share, but at most `GAP` [m]. What then still
+overlaps a neighbour is cut off (see `apart`)."""
 DIRECTIONS = 64
 """A hull starts from the extreme points in this many directions ..."""
 SAG = 0.001
-"""... and takes in points that stand out further than this [m]: what a fragment may sink into a floor ..."""
+"""... and takes in points that stand out further than this [m] ..."""
 ROUNDS = 3
 """... in this many rounds at most."""
 LONG = 0.8
 """A part is cut across axes along which it is at least this fraction of its greatest length."""
+PIECE_SAG = 0.004
+"""The same for a fragment: what it may sink into a floor [m]."""
 CELLS = 48
-"""Fragments are thinned to about this many vertices along their longest side before decomposition."""
+"""Shapes are thinned to about this many vertices along their longest side before decomposition."""
 MANY_FACES = 3000
 """Only meshes with more faces are thinned."""
 
@@ -61,21 +67,26 @@ def whole_hulls(mesh: Mesh) -> Hulls:
     return _whole[mesh]
 
 
-def piece_hulls(meshes: Iterable[Mesh]) -> list[Hulls]:
-    """Parts of each fragment, slightly shrunk towards their own centres."""
+def piece_hulls(meshes: Sequence[Mesh]) -> list[Hulls]:
+    """Parts of each fragment, slightly shrunk towards their own centres, that do not overlap those of another."""
     with ThreadPoolExecutor(max_workers=2) as pool:
-        return list(pool.map(_piece, meshes))
+        found = list(pool.map(_piece, meshes))
+    each = np.concatenate([starts[1:] - starts[:-1] for _, starts, _ in found])
+    starts = np.concatenate([[0], np.cumsum(each)])
+    counts = np.array([len(starts) - 1 for _, starts, _ in found])
+    triangles = np.concatenate([own for own, _, _ in found])
+    points, ends, volumes = apart(triangles, starts, np.repeat(np.arange(len(found)), counts))
+    hulls = [points[low:high] for low, high in pairwise(ends)]
+    last = np.cumsum(counts)
+    return [
+        Hulls(tuple(hulls[low:high]), float(volumes[low:high].sum()) / solid - 1)
+        for low, high, (_, _, solid) in zip(last - counts, last, found, strict=True)
+    ]
 
 
-def _piece(mesh: Mesh) -> Hulls:
-    hulls = _decompose(_thinned(mesh), PIECE_PARTS, PIECE_EXCESS)
-    return Hulls(tuple(_shrunk(points) for points in hulls.points), hulls.excess)
-
-
-def _shrunk(points: Floats) -> Floats:
-    centre = points.mean(axis=0)
-    reach = np.linalg.norm(points - centre, axis=1).max()
-    return centre + (1 - min(SHRINK, GAP / reach)) * (points - centre)
+def _piece(mesh: Mesh) -> tuple[Floats, Ints, float]:
+    """Triangles of the shrunk hulls, where each begins, and the volume of the mesh."""
+    return parts(mesh.vertices, mesh.faces, PIECE_PARTS, PIECE_EXCESS, PIECE_SAG, SHRINK, GAP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +129,8 @@ def _halve(part: _Part) -> list[_Part]:
     low, high = along.min(axis=0), along.max(axis=0)
     best: list[_Part] = []
     for i in np.flatnonzero(high - low >= LONG * (high - low).max()):
-        sides = _clip(part.triangles, part.skin, np.ascontiguousarray(axes[i]), 0.5 * (low[i] + high[i]))
-        halves = [_part(*side) for side in sides if side[1].sum() >= 2]
+        below, above, _ = clip(part.triangles, part.skin, np.ascontiguousarray(axes[i]), 0.5 * (low[i] + high[i]))
+        halves = [_part(*side) for side in (below, above) if side[1].sum() >= 2]
         if len(halves) == 2 and (not best or _air(halves) < _air(best)):
             best = halves
     return best
@@ -198,64 +209,3 @@ def _support(points, directions):
             if reach > best[d]:
                 best[d], index[d] = reach, i
     return index
-
-
-@njit(cache=True, nogil=True)
-def _clip(triangles, skin, normal, offset):
-    """Both sides of the plane x . normal = offset, each closed in the plane: (below, above)."""
-    n = len(triangles)
-    sides = np.empty((2, 3 * n, 3, 3))
-    skins = np.zeros((2, 3 * n), np.bool_)
-    count = np.zeros(2, np.int64)
-    cuts = np.empty((n, 2, 3))
-    cut = 0
-    reach = np.empty(3)
-    for t in range(n):
-        for v in range(3):
-            reach[v] = triangles[t, v, 0] * normal[0] + triangles[t, v, 1] * normal[1]
-            reach[v] += triangles[t, v, 2] * normal[2] - offset
-        above = reach >= 0
-        if above[0] == above[1] and above[1] == above[2]:
-            side = 1 if above[0] else 0
-            sides[side, count[side]] = triangles[t]
-            skins[side, count[side]] = skin[t]
-            count[side] += 1
-            continue
-        i = 0  # the corner alone on its side
-        if above[0] == above[2]:
-            i = 1
-        elif above[0] == above[1]:
-            i = 2
-        j, k = (i + 1) % 3, (i + 2) % 3
-        a, b, c = triangles[t, i], triangles[t, j], triangles[t, k]
-        p = a + (b - a) * (reach[i] / (reach[i] - reach[j]))
-        q = a + (c - a) * (reach[i] / (reach[i] - reach[k]))
-        side = 1 if above[i] else 0
-        other = 1 - side
-        m, o = count[side], count[other]
-        sides[side, m, 0], sides[side, m, 1], sides[side, m, 2] = a, p, q
-        sides[other, o, 0], sides[other, o, 1], sides[other, o, 2] = p, b, c
-        sides[other, o + 1, 0], sides[other, o + 1, 1], sides[other, o + 1, 2] = p, c, q
-        skins[side, m], skins[other, o], skins[other, o + 1] = skin[t], skin[t], skin[t]
-        count[side] += 1
-        count[other] += 2
-        # The boundary of the side below runs from p to q where it holds the lone corner, else back.
-        cuts[cut, side], cuts[cut, other] = p, q
-        cut += 1
-    _close(sides, count, cuts[:cut])
-    low, high = count[0], count[1]
-    return (sides[0, :low].copy(), skins[0, :low].copy()), (sides[1, :high].copy(), skins[1, :high].copy())
-
-
-@njit(cache=True, nogil=True)
-def _close(sides, count, cuts):
-    """Close both sides of a plane with a fan over the segments in which it cut."""
-    apex = np.zeros(3)
-    for s in range(len(cuts)):
-        apex += (cuts[s, 0] + cuts[s, 1]) / (2 * len(cuts))
-    for s in range(len(cuts)):
-        p, q = cuts[s, 0], cuts[s, 1]
-        m, o = count[0], count[1]
-        sides[0, m, 0], sides[0, m, 1], sides[0, m, 2] = q, p, apex
-        sides[1, o, 0], sides[1, o, 1], sides[1, o, 2] = p, q, apex
-        count += 1

@@ -68,7 +68,7 @@ def impact_of(
 ) -> Impact:
     """The impulses on `own` in its body frame, strongest first; `radii` of curvature by striker [m]."""
     blows: list[_Blow] = []
-    for striker, total in _totals(own, pushes, parties).items():
+    for striker, total in totals(own, pushes, parties).items():
         spot = max(SPOT, BALL_SPOT * radii[striker]) if striker in parties else SPOT
         blows += _blows([p for p in pushes if p.contact.other == striker], total, radii[striker], spot)
     blows.sort(key=lambda blow: -float(np.linalg.norm(blow.impulse)))
@@ -100,18 +100,18 @@ def merged(impacts: Sequence[Impact]) -> Impact:
     return Impact(position, direction, magnitude, normal, strongest.speed, strongest.radius)
 
 
-def _totals(own: Party, pushes: Sequence[Push], parties: Mapping[int, Party]) -> dict[int, Floats]:
+def totals(own: Party, pushes: Sequence[Push], parties: Mapping[int, Party]) -> dict[int, Floats]:
     """The whole impulse on `own` from each striker, friction included."""
     normal: dict[int, Floats] = {}
     for push in pushes:
         share = push.contact.impulse * push.contact.normal
         normal[push.contact.other] = normal.get(push.contact.other, np.zeros(3)) + share
     # A ball's loss is its striker's gift. What then is missing came from the one striker left over.
-    totals = {n: -parties[n].gained if n in parties and parties[n].ball else p for n, p in normal.items()}
-    rest = [n for n in totals if not (n in parties and parties[n].ball)] or list(totals)
+    found = {n: -parties[n].gained if n in parties and parties[n].ball else p for n, p in normal.items()}
+    rest = [n for n in found if not (n in parties and parties[n].ball)] or list(found)
     if len(rest) == 1:
-        totals[rest[0]] = own.gained - sum((p for n, p in totals.items() if n != rest[0]), np.zeros(3))
-    return totals
+        found[rest[0]] = own.gained - sum((p for n, p in found.items() if n != rest[0]), np.zeros(3))
+    return found
 
 
 def _blows(pushes: list[Push], total: Floats, radius: float, spot: float) -> list[_Blow]:

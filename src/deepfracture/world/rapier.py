@@ -56,10 +56,10 @@ class Rapier:
         api = self._api
         moments, axes = mass.principal()
         properties = api.MassProperties(
-            local_com=tuple(mass.centre),
-            mass=mass.mass,
-            principal_inertia=tuple(moments),
-            principal_inertia_local_frame=api.Rotation3(*quaternion(axes)),
+            local_com=tuple(mass.centre.tolist()),  # numbers of Python are read much faster
+            mass=float(mass.mass),
+            principal_inertia=tuple(moments.tolist()),
+            principal_inertia_local_frame=api.Rotation3(*quaternion(axes).tolist()),
         )
         looks = self._looks(self._friction)
         return self._add(properties, motion, TURNING, [api.Collider.convex_hull(h, **looks) for h in hulls])
@@ -145,8 +145,8 @@ class Rapier:
         builder = (
             self._api.RigidBodyBuilder(self._api.RigidBodyType.DYNAMIC)
             .position(self._pose(motion))
-            .linvel(tuple(motion.velocity))
-            .angvel(tuple(motion.spin))
+            .linvel(tuple(motion.velocity.tolist()))
+            .angvel(tuple(motion.spin.tolist()))
             .angular_damping(damping)
             .additional_mass_properties(properties)
             .can_sleep(False)
@@ -178,8 +178,8 @@ class Rapier:
         }
 
     def _pose(self, motion: Motion) -> Any:
-        place = self._api.Vec3(*map(float, motion.position))
-        return self._api.Isometry3(place, self._api.Rotation3(*map(float, motion.quat_wxyz)))
+        place = self._api.Vec3(*motion.position.tolist())
+        return self._api.Isometry3(place, self._api.Rotation3(*motion.quat_wxyz.tolist()))
 
 
 def _unit(quat: Floats) -> Floats:

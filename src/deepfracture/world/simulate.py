@@ -102,7 +102,7 @@ def joint_impact(
     try:
         for _ in range(int(scene.duration * scene.steps_per_second)):
             for hit in stage.step():
-                struck = waiting & {striker.name for striker, _, _ in hit.strikers}
+                struck = waiting & {striker.body.name for striker in hit.strikers}
                 if struck:
                     impacts.append(hit.impact)
                     waiting -= struck
@@ -139,6 +139,6 @@ def _ask(stage: Stage, recorder: Recorder, hit: Hit, breaker: Breaker, rng: np.r
         whole, fragments = body.shape.whole, breaker(body.shape, scaled(hit.impact, body.shape), rng)
         fragments = fragments and real(fragments, body.shape, body.source)
     if fragments is not None:
-        recorder.knows(stage.shatter(hit, fragments), fragments)
+        recorder.knows(stage.shatter(hit, fragments), fragments, whole)
     frame = recorder.frames - 1
     return Collision(body.name, whole, stage.time, frame, hit.impact, hit.before, hit.after, fragments, body.generation)

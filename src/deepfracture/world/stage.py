@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfracture.geometry import mass_properties
-from deepfracture.types import BadInput, Fragment, Fragments, Impact, Ints, Material, Mesh, Shape
-from deepfracture.world.engine import Engine, Mass, Motion, Surface, cross, open_engine, rotation
+from deepfracture.types import BadInput, Floats, Fragment, Fragments, Impact, Ints, Material, Mesh, Shape
+from deepfracture.world.engine import Contact, Engine, Mass, Motion, Surface, cross, open_engine, rotation
 from deepfracture.world.hulls import piece_hulls, whole_hulls
-from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of
+from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of, totals
 from deepfracture.world.pieces import HARDER, SAME_BLOW, SMALLEST_SHARE, as_shape
 from deepfracture.world.rest import Rest
 from deepfracture.world.scene import Ball, Block, Placed, Scene
@@ -58,6 +58,20 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
+class Striker:
+    """A moving body that struck another, and what that did to it."""
+
+    body: Body
+    before: Motion
+    impulse: Floats
+    """On the striker [N s], world frame, shape (3,)."""
+    twist: Floats
+    """Angular impulse on the striker about its own centre of mass [N m s], world frame, shape (3,)."""
+    alone: bool
+    """Whether it touched nothing else in that step."""
+
+
+@dataclass(frozen=True, eq=False)
 class Hit:
     """A breakable body was struck in the last step."""
 
@@ -65,8 +79,7 @@ class Hit:
     impact: Impact
     before: Motion
     after: Motion
-    strikers: tuple[tuple[Body, Motion, Motion], ...]
-    """The moving bodies that struck, with their motion before and after."""
+    strikers: tuple[Striker, ...]
 
 
 class Stage:
@@ -109,17 +122,18 @@ class Stage:
         self._enter_balls()
 
     def shatter(self, hit: Hit, fragments: Fragments) -> list[Body]:
-        """Put the fragments in the place of what broke.
+        """Put the fragments in the place of what broke, as it was before the step that broke it.
 
         Each starts from v + omega x r of the whole, so the momentum of the whole is that of its fragments.
         With push = 1 (v, omega) is what the whole had after the collision; with less, the share that it has
-        not taken goes back to the strikers, which then push the fragments that they meet.
+        not taken goes back to the strikers, which then push the fragments that they meet. The whole and its
+        strikers stand where they were before the contact: only there do the impulses balance the moments too.
         """
         share = self.scene.push
+        for striker in hit.strikers:
+            if striker.body.number in self.bodies:  # it may have broken in the same collision
+                self._set_back(striker, share)
         whole = _between(hit.before, hit.after, share)
-        for striker, before, after in hit.strikers:
-            if striker.number in self.bodies:  # it may have broken in the same collision
-                self.engine.move(striker.number, _between(before, after, share))
         self.remove(hit.body)
         turn = rotation(whole.quat_wxyz)
         hulls = piece_hulls([piece.mesh for piece in fragments])
@@ -140,6 +154,21 @@ class Stage:
         if not any(body.kind == "shape" for body in self.bodies.values()):
             self.engine.prefer_piles()
         return added
+
+    def _set_back(self, striker: Striker, share: float) -> None:
+        """Put a striker where it was before the contact, with a share of what the collision did to it.
+
+        An engine may lose angular momentum in a contact, so what it made of the striker counts only where
+        others have struck it too."""
+        body, before = striker.body, striker.before
+        turn = rotation(before.quat_wxyz)
+        kick = striker.impulse / body.mass.mass
+        turned = turn @ np.linalg.solve(body.mass.inertia, turn.T @ striker.twist)
+        velocity, spin = before.velocity + share * kick, before.spin + share * turned
+        if not striker.alone:
+            now = self.engine.motion(body.number)
+            velocity, spin = now.velocity + (share - 1) * kick, now.spin + (share - 1) * turned
+        self.engine.move(body.number, Motion(before.position, before.quat_wxyz, velocity, spin))
 
     def _breakable(self, piece: Fragment, name: str, parent: Body, generation: int) -> Shape | None:
         """A fragment as a shape, if it is large and old enough a generation to break again."""
@@ -247,9 +276,29 @@ class Stage:
         radii = {number: self.bodies[number].radius for number in {p.contact.other for p in pushes}}
         assert body.mesh is not None
         impact = impact_of(body.mesh, parties[body.number], pushes, parties, radii)
-        strikers = tuple((self.bodies[n], p.before, p.after) for n, p in parties.items() if n != body.number)
-        own = parties[body.number]
-        return Hit(body, impact, own.before, own.after, strikers)
+        own = parties.pop(body.number)
+        return Hit(body, impact, own.before, own.after, self._strikers(body, own, pushes, parties))
+
+    def _strikers(self, body: Body, own: Party, pushes: list[Push], parties: dict[int, Party]) -> tuple[Striker, ...]:
+        """The moving bodies among what struck, each with its part of what the struck body gained, reversed.
+
+        An engine's contacts say nothing of friction, so what they lack of the momentum and the spin that the body
+        has got is shared by the size of the impulses. With one striker nothing is guessed."""
+        each = totals(own, pushes, parties)
+        turn, middle = rotation(own.before.quat_wxyz), _centre(own.before, body)
+        sizes = {n: float(np.linalg.norm(impulse)) for n, impulse in each.items()}
+        lack = own.gained - sum(each.values(), np.zeros(3))
+        each = {n: impulse + lack * (sizes[n] / sum(sizes.values())) for n, impulse in each.items()}
+        places = {n: _middle([push.contact for push in pushes if push.contact.other == n]) for n in each}
+        twist = turn @ body.mass.inertia @ turn.T @ (own.after.spin - own.before.spin)
+        twist = twist - sum((cross(places[n] - middle, impulse) for n, impulse in each.items()), np.zeros(3))
+        found = []
+        for n, party in parties.items():
+            arm = places[n] - _centre(party.before, self.bodies[n])
+            about = cross(arm, each[n]) + twist * (sizes[n] / sum(sizes.values()))
+            alone = all(contact.other == body.number for contact in self.engine.contacts(n, party.before))
+            found.append(Striker(self.bodies[n], party.before, -each[n], -about, alone))
+        return tuple(found)
 
     def _party(self, body: Body, before: dict[int, Motion], dt: float) -> Party:
         after = self.engine.motion(body.number)
@@ -274,10 +323,10 @@ def _start(ball: Ball) -> Motion:
 
 
 def _between(before: Motion, after: Motion, share: float) -> Motion:
-    """Where the body is after, with `share` of what the collision did to its velocities."""
+    """Where the body was before, with `share` of what the collision did to its velocities."""
     return Motion(
-        after.position,
-        after.quat_wxyz,
+        before.position,
+        before.quat_wxyz,
         before.velocity + share * (after.velocity - before.velocity),
         before.spin + share * (after.spin - before.spin),
     )
@@ -285,5 +334,15 @@ def _between(before: Motion, after: Motion, share: float) -> Motion:
 
 def _speed_at(motion: Motion, body: Body, point: np.ndarray) -> np.ndarray:
     """Velocity of the body's material at a point of the world."""
-    centre = motion.position + rotation(motion.quat_wxyz) @ body.mass.centre
-    return motion.velocity + cross(motion.spin, point - centre)
+    return motion.velocity + cross(motion.spin, point - _centre(motion, body))
+
+
+def _centre(motion: Motion, body: Body) -> Floats:
+    """Centre of mass of a body in the world."""
+    return motion.position + rotation(motion.quat_wxyz) @ body.mass.centre
+
+
+def _middle(contacts: list[Contact]) -> Floats:
+    """Where the contacts of one striker push, in the mean [m]."""
+    weights = np.array([contact.impulse for contact in contacts])
+    return weights @ np.array([contact.position for contact in contacts]) / weights.sum()

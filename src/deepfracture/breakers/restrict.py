@@ -1,0 +1,116 @@
+"""What is known of a whole shape, for a fragment of it: impacts there, patterns back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+
+from deepfracture.carve.parts import connected_labels
+from deepfracture.geometry import signed_distance
+from deepfracture.types import RESOLUTIONS, Floats, FracturePattern, Grid, Impact, Shape
+
+
+def piece_grid(piece: Shape, whole: Grid) -> Grid:
+    """A grid around a fragment whose voxels are no larger than those of the whole, unless there is none finer."""
+    return Grid(next(r for r in RESOLUTIONS if r >= min(whole.resolution * piece.size, RESOLUTIONS[-1])))
+
+
+def on_whole(impact: Impact, piece: Shape) -> Impact:
+    """An impact in a fragment's own frame, at the same place of the whole.
+
+    Its impulses and radius stay those of the fragment's frame, where stress and speed are as in a whole of
+    the same size."""
+    return replace(impact, position=impact.position * piece.size + _middle(piece))
+
+
+def restricted(pattern: FracturePattern, piece: Shape) -> FracturePattern:
+    """How a pattern of the whole would part a fragment of it, on a grid of the fragment's own.
+
+    Between voxel centres a label counts with its distances, weighted by how near they are, and the one that
+    counts most wins: then cracks cross the edges of the whole's grid where `FracturePattern.distance` has
+    them. Distances are those to where two labels count the same, in the fragment's units.
+
+    Args:
+        pattern: On the grid of the whole.
+        piece: A fragment in its own frame (`world.pieces.as_shape`).
+    """
+    grid = piece_grid(piece, pattern.grid)
+    inside = signed_distance(piece.mesh, grid) > 0
+    voxels = np.argwhere(inside)
+    places = pattern.grid.to_index(grid.to_world(voxels) * piece.size + _middle(piece))
+    own, lead = _between(pattern.labels, pattern.distance, places)
+    labels, distance = np.zeros(grid.shape, np.int32), np.zeros(grid.shape, np.float32)
+    labels[tuple(voxels.T)], distance[tuple(voxels.T)] = own, lead / piece.size
+    return FracturePattern(grid, connected_labels(labels), distance)
+
+
+def _middle(piece: Shape) -> Floats:
+    """Centre of a piece's box in the frame of the whole."""
+    assert piece.whole is not None
+    return (piece.centre - piece.whole.centre) / piece.whole.scale
+
+
+@njit(cache=True)
+def _between(labels, distance, places):
+    """Label that counts most at each fractional index, shape (n,), and by how much, shape (n,).
+
+    Where no voxel around is inside the whole (fragments reach half a voxel out of it), the nearest one counts."""
+    r = labels.shape[0]
+    own, lead = np.zeros(len(places), np.int32), np.zeros(len(places), np.float32)
+    seen, weight = np.zeros(8, np.int32), np.zeros(8)
+    low, part = np.zeros(3, np.int64), np.zeros(3)
+    for p in range(len(places)):
+        for k in range(3):
+            at = min(max(places[p, k], 0.0), r - 1.0)
+            low[k] = min(int(at), r - 2)
+            part[k] = at - low[k]
+        count, total = 0, 0.0
+        for corner in range(8):
+            a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
+            label = labels[low[0] + a, low[1] + b, low[2] + c]
+            if label == 0:
+                continue
+            share = (part[0] if a else 1 - part[0]) * (part[1] if b else 1 - part[1]) * (part[2] if c else 1 - part[2])
+            total += share
+            n = 0
+            while n < count and seen[n] != label:
+                n += 1
+            if n == count:
+                seen[n], weight[n] = label, 0.0
+                count += 1
+            weight[n] += share * distance[low[0] + a, low[1] + b, low[2] + c]
+        best = 0
+        for n in range(1, count):
+            if weight[n] > weight[best]:
+                best = n
+        if count == 0:
+            own[p], lead[p] = _nearest(labels, distance, places[p])
+            continue
+        second = 0.0
+        for n in range(count):
+            if n != best:
+                second = max(second, weight[n])
+        own[p], lead[p] = seen[best], (weight[best] - second) / max(total, 1e-9)
+    return own, lead
+
+
+@njit(cache=True)
+def _nearest(labels, distance, place):
+    """Label and distance of the voxel inside that is nearest to a fractional index."""
+    r = labels.shape[0]
+    middle = np.empty(3, np.int64)
+    for k in range(3):
+        middle[k] = min(max(int(np.round(place[k])), 0), r - 1)
+    for reach in range(1, r):
+        best, label, value = np.inf, 0, 0.0
+        for i in range(max(middle[0] - reach, 0), min(middle[0] + reach + 1, r)):
+            for j in range(max(middle[1] - reach, 0), min(middle[1] + reach + 1, r)):
+                for k in range(max(middle[2] - reach, 0), min(middle[2] + reach + 1, r)):
+                    away = (i - place[0]) ** 2 + (j - place[1]) ** 2 + (k - place[2]) ** 2
+                    if labels[i, j, k] > 0 and away < best:
+                        best, label, value = away, labels[i, j, k], distance[i, j, k]
+        if label > 0:
+            return label, value
+    return 0, 0.0
