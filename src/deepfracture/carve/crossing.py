@@ -164,7 +164,7 @@ def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, st
     count = 0
     seen = np.full(len(faces), -1, np.int64)
     row = np.empty(6, np.int64)
-    s, c, box, planes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3)), np.empty((4, 9))
+    s, c, box, planes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3)), np.empty((5, 9))
     for quad in range(len(around)):
         first, last = quads[quad], quads[quad + 1]
         known = False
@@ -183,13 +183,14 @@ def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, st
                     continue
                 copied = False
                 for triangle in range(first, last):
-                    if _on_one_side(points, faces, face, planes[triangle - first]):
+                    if _on_one_side(points, faces, face, planes, triangle - first):
                         continue
                     if not copied:
                         _copy(points, faces, face, s)
+                        _planes(points, faces, face, face + 1, planes[4:])
                         copied = True
                     _copy(sheet_points, triangles, triangle, c)
-                    found = _segment(s, c, row)
+                    found = _segment(s, c, planes, triangle - first, row)
                     if found < 0:
                         return True, segments[:0]
                     if found == 0:
@@ -228,17 +229,24 @@ def _planes(points, triangles, first, last, planes):
 
 
 @njit(cache=True, inline="always")
-def _on_one_side(points, faces, face, plane):
+def _on_one_side(points, faces, face, planes, row):
     """Whether a face lies on one side of a plane beyond doubt."""
     above, below = 0, 0
     for n in range(3):
         v = faces[face, n]
-        x, y, z = points[v, 0] - plane[0], points[v, 1] - plane[1], points[v, 2] - plane[2]
-        height = x * plane[3] + y * plane[4] + z * plane[5]
-        doubt = abs(x) * plane[6] + abs(y) * plane[7] + abs(z) * plane[8]
-        above += height > doubt
-        below += height < -doubt
+        where = _height(planes, row, points[v, 0], points[v, 1], points[v, 2])
+        above += where > 0
+        below += where < 0
     return above == 3 or below == 3
+
+
+@njit(cache=True, inline="always")
+def _height(planes, row, x, y, z):
+    """1 above a plane, -1 below it, 0 in doubt."""
+    x, y, z = x - planes[row, 0], y - planes[row, 1], z - planes[row, 2]
+    height = x * planes[row, 3] + y * planes[row, 4] + z * planes[row, 5]
+    doubt = abs(x) * planes[row, 6] + abs(y) * planes[row, 7] + abs(z) * planes[row, 8]
+    return (1 if height > doubt else 0) - (1 if height < -doubt else 0)
 
 
 @njit(cache=True, inline="always")
@@ -270,43 +278,83 @@ def _copy(points, triangles, t, out):
 
 
 @njit(cache=True)
-def _segment(s, c, row):
-    """Where a face and a sheet's triangle meet: 1, 0 if they do not, -1 if rounding hides it. If they do,
-    row[2:4] and row[4:6] are tail and head: 0 and the side of the face, or 1 and the side of the triangle."""
-    above = (over(c, s[0]), over(c, s[1]), over(c, s[2]))
-    if above[0] == above[1] == above[2]:
-        return 0 if above[0] != 0 else -1
-    if above[0] * above[1] * above[2] == 0:
+def _segment(s, c, planes, plane, row):
+    """Where a face s and a sheet's triangle c meet: 1, 0 if they do not, -1 if rounding hides it. If they do, row[2:4]
+    and row[4:6] are tail and head: 0 and the side of the face, or 1 and the side of the triangle.
+
+    `planes`: that of c in the row `plane`, that of s in row 4."""
+    s0, s1, s2 = (
+        _corner_side(c, planes, plane, s, 0),
+        _corner_side(c, planes, plane, s, 1),
+        _corner_side(c, planes, plane, s, 2),
+    )
+    if s0 == s1 == s2:
+        return 0 if s0 != 0 else -1
+    if s0 * s1 * s2 == 0:
         return -1
-    out = (over(s, c[0]), over(s, c[1]), over(s, c[2]))
+    c0, c1, c2 = _corner_side(s, planes, 4, c, 0), _corner_side(s, planes, 4, c, 1), _corner_side(s, planes, 4, c, 2)
     # A face without area has no sides: only its edges are pierced.
-    flat = out[0] == 0 and out[1] == 0 and out[2] == 0
+    flat = c0 == 0 and c1 == 0 and c2 == 0
     if not flat:
-        if out[0] * out[1] * out[2] == 0:
+        if c0 * c1 * c2 == 0:
             return -1
-        if out[0] == out[1] == out[2]:
+        if c0 == c1 == c2:
             return 0
+    # Seen from its start a segment has the side of a face's corner before it on its left, and so what is below the
+    # sheet; or the side of a triangle's corner, and so the outside.
     tails, heads = 0, 0
-    for kind in range(2):
-        if kind == 1 and flat:
-            break
-        own, other, where = (s, c, above) if kind == 0 else (c, s, out)
-        for i in range(3):
-            j = (i + 1) % 3
-            if where[i] == where[j]:
-                continue
-            hit = pierces(own[i], own[j], other)
-            if hit < 0:
-                return -1
-            if hit:
-                # Seen from its start a segment has the side of a face's corner before it on its left, and so
-                # what is below the sheet; or the side of a triangle's corner, and so the outside.
-                at = 2 if (where[i] < 0) == (kind == 0) else 4
-                tails, heads = tails + (at == 2), heads + (at == 4)
-                row[at], row[at + 1] = kind, i
+    for i in range(3):
+        here, there = (s0, s1) if i == 0 else ((s1, s2) if i == 1 else (s2, s0))
+        hit = 0 if here == there else _side_pierces(s, i, c)
+        if hit < 0:
+            return -1
+        if hit:
+            at = 2 if here < 0 else 4
+            tails, heads = tails + (at == 2), heads + (at == 4)
+            row[at], row[at + 1] = 0, i
+        here, there = (c0, c1) if i == 0 else ((c1, c2) if i == 1 else (c2, c0))
+        hit = 0 if here == there else _side_pierces(c, i, s)
+        if hit < 0:
+            return -1
+        if hit:
+            at = 2 if here > 0 else 4
+            tails, heads = tails + (at == 2), heads + (at == 4)
+            row[at], row[at + 1] = 1, i
     if tails + heads == 0:
         return 0
     return 1 if tails == 1 and heads == 1 else -1
+
+
+@njit(cache=True, inline="always")
+def _corner_side(t, planes, row, other, n):
+    """`over` for a corner of another triangle, by the plane of t where that is beyond doubt."""
+    where = _height(planes, row, other[n, 0], other[n, 1], other[n, 2])
+    if where != 0:
+        return where
+    return side(
+        t[0, 0], t[0, 1], t[0, 2], t[1, 0], t[1, 1], t[1, 2], t[2, 0], t[2, 1], t[2, 2],
+        other[n, 0], other[n, 1], other[n, 2],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _side_pierces(one, i, two):
+    """`pierces` for the side of a triangle from its corner i to the next."""
+    j = (i + 1) % 3
+    first = 0
+    for n in range(3):
+        m = (n + 1) % 3
+        turn = side(
+            one[i, 0], one[i, 1], one[i, 2], one[j, 0], one[j, 1], one[j, 2],
+            two[n, 0], two[n, 1], two[n, 2], two[m, 0], two[m, 1], two[m, 2],
+        )  # fmt: skip
+        if turn == 0:
+            return -1
+        if n == 0:
+            first = turn
+        elif turn != first:
+            return 0
+    return 1
 
 
 @njit(cache=True, inline="always")

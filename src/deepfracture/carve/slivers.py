@@ -94,24 +94,25 @@ def _short_edges(positions, corners, shortest, nodes_from):
 @njit(cache=True)
 def _collapse(positions, corners, sides, source, short, shortest, originals):
     """Collapse what can go; rows of `corners` that are gone become -1. Returns how many edges went."""
-    slot, around, size = _faces_around(len(positions), corners, short)
+    slot, start, around = _faces_around(len(positions), corners, short)
     busy = np.zeros(len(corners), np.bool_)
     gone = 0
     for e in range(len(short)):
         a, b = short[e]
-        own, other = around[slot[a], : size[slot[a]]], around[slot[b], : size[slot[b]]]
-        if size[slot[a]] > MANY or size[slot[b]] > MANY or busy[own].any() or busy[other].any():
+        own = around[start[slot[a]] : start[slot[a] + 1]]
+        other = around[start[slot[b]] : start[slot[b] + 1]]
+        if max(len(own), len(other)) > MANY or _any(busy, own) or _any(busy, other):
             continue
         if not _is_whole(corners, sides, own, other, a, b):
             continue
         # The higher point goes to the lower: those of the original come first.
         stays, goes, faces = a, b, other
         fine = _may_move(positions, corners, source, other, own, b, a, shortest)
-        fine = fine and not _crosses(positions, corners, source, other, b, a, slot, around, size)
+        fine = fine and not _crosses(positions, corners, source, other, b, a, slot, start, around)
         if not fine and a >= originals:
             stays, goes, faces = b, a, own
             fine = _may_move(positions, corners, source, own, other, a, b, shortest)
-            fine = fine and not _crosses(positions, corners, source, own, a, b, slot, around, size)
+            fine = fine and not _crosses(positions, corners, source, own, a, b, slot, start, around)
         if not fine:
             continue
         for f in own:
@@ -129,9 +130,17 @@ def _collapse(positions, corners, sides, source, short, shortest, originals):
     return gone
 
 
+@njit(cache=True, inline="always")
+def _any(marks, where):
+    found = False
+    for f in where:
+        found = found or marks[f]
+    return found
+
+
 @njit(cache=True)
 def _faces_around(count, corners, short):
-    """A slot for each point of a face at a short edge, the faces around it, up to MANY, and how many there are."""
+    """A slot for each point of a face at a short edge; where the faces around it start; and they."""
     slot = np.full(count, -1, np.int32)
     used = 0
     for e in range(len(short)):
@@ -150,17 +159,22 @@ def _faces_around(count, corners, short):
             if at_edge and slot[corners[f, n]] < 0:
                 slot[corners[f, n]] = used
                 used += 1
-    around, size = np.empty((used, MANY), np.int64), np.zeros(used, np.int64)
+    start = np.zeros(used + 1, np.int64)
     for f in range(len(corners)):
-        if corners[f, 0] < 0:
-            continue
-        for n in range(3):
+        for n in range(3 if corners[f, 0] >= 0 else 0):
             at = slot[corners[f, n]]
             if at >= 0:
-                if size[at] < MANY:
-                    around[at, size[at]] = f
-                size[at] += 1
-    return slot, around, size
+                start[at + 1] += 1
+    for at in range(used):
+        start[at + 1] += start[at]
+    around, place = np.empty(start[used], np.int64), start[:-1].copy()
+    for f in range(len(corners)):
+        for n in range(3 if corners[f, 0] >= 0 else 0):
+            at = slot[corners[f, n]]
+            if at >= 0:
+                around[place[at]] = f
+                place[at] += 1
+    return slot, start, around
 
 
 @njit(cache=True)
@@ -266,7 +280,7 @@ def _may_move(positions, corners, source, faces, others, goes, stays, shortest):
 
 
 @njit(cache=True)
-def _crosses(positions, corners, source, faces, goes, stays, slot, around, size):
+def _crosses(positions, corners, source, faces, goes, stays, slot, start, around):
     """Whether a face that moves with `goes` to `stays` would cross one nearby, or a crack's face lie in the surface."""
     new, near = np.empty((3, 3)), np.empty((3, 3))
     names, others = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -276,13 +290,13 @@ def _crosses(positions, corners, source, faces, goes, stays, slot, around, size)
         for n in range(3):
             names[n] = stays if corners[f, n] == goes else corners[f, n]
             new[n] = positions[names[n]]
-        if source[f] < 0 and _on_surface(names, source, slot, around, size):
+        if source[f] < 0 and _on_surface(names, source, slot, start, around):
             return True
         for n in range(3):
             at = slot[names[n]]
-            if size[at] > MANY:
+            if start[at + 1] - start[at] > MANY:
                 return True
-            for g in around[at, : size[at]]:
+            for g in around[start[at] : start[at + 1]]:
                 if corners[g, 0] < 0 or g == f or (_has(corners, g, goes) and _has(corners, g, stays)):
                     continue
                 for m in range(3):
@@ -294,11 +308,11 @@ def _crosses(positions, corners, source, faces, goes, stays, slot, around, size)
 
 
 @njit(cache=True)
-def _on_surface(names, source, slot, around, size):
+def _on_surface(names, source, slot, start, around):
     """Whether three points all lie on the body's surface: a crack's face between them may lie in it."""
     count = 0
     for n in range(3):
-        for f in around[slot[names[n]], : size[slot[names[n]]]]:
+        for f in around[start[slot[names[n]]] : start[slot[names[n]] + 1]]:
             if source[f] >= 0:
                 count += 1
                 break
