@@ -18,7 +18,9 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
     thin parts that run between voxel centres: there labels grow. A part that no label reaches becomes one.
     Where two voxels of a label meet only along an edge they are parted or joined, for a cell that touches itself
     along an edge has no manifold surface."""
-    labels, empty = _on_ground(pattern.labels, ground.voxels, ground.on_grid, ground.inside.shape)
+    # Made here and not in a kernel: numpy asks for large pages, which halves the time of all that follows.
+    labels = np.zeros(ground.inside.shape, np.int32)
+    empty = _on_ground(pattern.labels, ground.voxels, ground.on_grid, labels)
     before = -1
     while len(empty) != before:
         before = len(empty)
@@ -28,13 +30,15 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
     edges = _edges(labels, ground.voxels)
-    return labels, _renewed(labels, edges, _join_diagonals(labels, edges))
+    changed = _join_diagonals(labels, edges)
+    if len(changed):
+        edges = _renewed(labels, edges, changed, np.zeros(labels.size, np.bool_))
+    return labels, edges
 
 
 @njit(cache=True)
-def _on_ground(source, voxels, on_grid, shape):
-    """Labels of the voxels, and the flat indices of those that have none."""
-    labels = np.zeros(shape, np.int32)
+def _on_ground(source, voxels, on_grid, labels):
+    """Write the labels of the voxels; the flat indices of those that have none."""
     flat, grid = labels.reshape(-1), source.reshape(-1)
     empty = np.empty(len(voxels), np.int64)
     count = 0
@@ -45,7 +49,7 @@ def _on_ground(source, voxels, on_grid, shape):
         else:
             empty[count] = voxels[n]
             count += 1
-    return labels, empty[:count].copy()
+    return empty[:count].copy()
 
 
 @njit(cache=True)
@@ -116,13 +120,10 @@ def _edges(labels, voxels):
 
 
 @njit(cache=True)
-def _renewed(labels, edges, changed):
-    """The edges after some voxels have changed."""
-    if len(changed) == 0:
-        return edges
+def _renewed(labels, edges, changed, dirty):
+    """The edges after some voxels have changed; `dirty`: scratch, all False."""
     flat = labels.reshape(-1)
     strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
-    dirty = np.zeros(flat.size, np.bool_)
     for v in changed:
         dirty[v] = True
     fresh = np.empty((len(edges) + 6 * len(changed), 2), np.int64)

@@ -54,7 +54,8 @@ def crack_sheets(labels: Labels, edges: Ints, pattern: FracturePattern, low: Int
         low: Grid index of the first voxel of `labels`.
         seed: Of the jitter.
     """
-    around, cubes, number = _cubes(labels.shape, edges)
+    number = np.zeros(labels.size, np.int32)
+    around, cubes = _cubes(labels.shape, edges, number)
     base = np.stack(np.unravel_index(cubes, labels.shape), axis=1)
     middle = base + 0.5
     points, trusted, kind = _place(labels, pattern.labels, pattern.distance, low, base)
@@ -69,11 +70,10 @@ def crack_sheets(labels: Labels, edges: Ints, pattern: FracturePattern, low: Int
 
 
 @njit(cache=True)
-def _cubes(shape, edges):
-    """The four cubes around each edge, counter-clockwise seen from its second voxel, by index into all cubes; these;
-    and for each cube of the box one more than that index, or 0."""
+def _cubes(shape, edges, number):
+    """The four cubes around each edge, counter-clockwise seen from its second voxel, by index into all cubes; these.
+    `number` becomes one more than that index for them and stays 0 for all other cubes of the box."""
     strides = (shape[1] * shape[2], shape[2], 1)
-    number = np.zeros(shape[0] * shape[1] * shape[2], np.int32)
     around = np.empty((len(edges), 4), np.int64)
     cubes = np.empty(4 * len(edges), np.int64)
     count = 0
@@ -87,7 +87,7 @@ def _cubes(shape, edges):
                 count += 1
                 number[cube] = count
             around[n, corner] = number[cube] - 1
-    return around, cubes[:count].copy(), number
+    return around, cubes[:count].copy()
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ from numba import njit
 from deepfracture.carve.crossing import over, pierces
 from deepfracture.carve.solids import Faces
 
-PASSES = 6
+PASSES = 3
 """Rounds of collapses: in one, no two that have a face in common."""
 TURN = 0.5
 """Least cosine of the angle by which a collapse may turn a face that is no sliver."""
@@ -322,10 +322,22 @@ def _on_surface(names, source, slot, start, around):
 @njit(cache=True)
 def _cross(one, its, two, other):
     """Whether an edge of one triangle pierces the other; points that both have are left out."""
+    shared = 0
+    for n in range(3):
+        shared += its[n] == other[0] or its[n] == other[1] or its[n] == other[2]
+    if shared > 1 or _on_one_side(one, two) or _on_one_side(two, one):
+        return False
     found = False
     for n in range(3):
         found = found or _edge_pierces(one, its, n, two, other) or _edge_pierces(two, other, n, one, its)
     return found
+
+
+@njit(cache=True)
+def _on_one_side(one, two):
+    """Whether the corners of the second triangle lie on one side of the first, or in its plane."""
+    a, b, c = over(one, two[0]), over(one, two[1]), over(one, two[2])
+    return min(a, b, c) >= 0 or max(a, b, c) <= 0
 
 
 @njit(cache=True)

@@ -6,7 +6,7 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
@@ -64,7 +64,7 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     """The solids, and the edges, as points, that join the same two vertices of a solid twice, shape (d, 2)."""
     corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
     outer, inner = len(faces.outer), len(faces.inner)
-    twin = _twins(corners, cell, len(faces.positions))
+    twin = _twins(corners, cell, outer, inner, len(faces.positions))
     if twin[0] == -2:
         raise NotGeneral
     shell, first = _shells(twin, len(corners))
@@ -198,52 +198,67 @@ def _sorted(solid, goes, count):
     return order, start
 
 
-@njit(cache=True, parallel=True)
-def _twins(corners, cell, count):
+@njit(cache=True)
+def _twins(corners, cell, outer, inner, count):
     """For the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
-    surface. The first is -2 if some edge has none or several."""
-    start = np.zeros(count + 1, np.int64)
-    for f in range(len(corners)):
-        for n in range(3):
-            start[min(corners[f, n], corners[f, (n + 1) % 3]) + 1] += 1
+    surface. The first is -2 if some edge has none or several.
+
+    Edges are sorted by their lower point. Both sides of a crack's face have the same edges: one is enough."""
+    faces = outer + inner
+    start = np.zeros(count + 1, np.int32)
+    for f in range(faces):
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        start[min(a, b) + 1] += 1
+        start[min(b, c) + 1] += 1
+        start[min(c, a) + 1] += 1
     for v in range(count):
         start[v + 1] += start[v]
     place = start[:-1].copy()
-    bucket = np.empty(3 * len(corners), np.int32)
-    for f in range(len(corners)):
+    bucket, far = np.empty(3 * faces, np.int32), np.empty(3 * faces, np.int32)
+    for f in range(faces):
         for n in range(3):
-            low = min(corners[f, n], corners[f, (n + 1) % 3])
-            bucket[place[low]] = 3 * f + n
+            a, b = corners[f, n], corners[f, n + 1 if n < 2 else 0]
+            low = min(a, b)
+            bucket[place[low]], far[place[low]] = 3 * f + n, max(a, b)
             place[low] += 1
     twin = np.full(3 * len(corners), -1, np.int32)
-    cells = np.int64(cell.max() + 1)
-    keys = np.empty(len(bucket), np.int64)
-    failed = np.zeros(count, np.bool_)
-    for v in prange(count):
+    for v in range(count):
         first, last = start[v], start[v + 1]
-        for e in range(first, last):
-            f, n = bucket[e] // 3, bucket[e] % 3
-            keys[e] = np.int64(max(corners[f, n], corners[f, (n + 1) % 3])) * cells + cell[f]
         crowded = last - first > CROWD
         if crowded:
-            order = np.argsort(keys[first:last])
-            bucket[first:last], keys[first:last] = bucket[first:last][order], keys[first:last][order]
+            order = np.argsort(far[first:last])
+            bucket[first:last], far[first:last] = bucket[first:last][order], far[first:last][order]
         for e in range(first, last):
-            own = bucket[e]
-            if twin[own] >= 0:
-                continue
-            found = 0
-            for o in range(e + 1, last):
-                if keys[o] == keys[e]:
+            for back in range(2):
+                own = bucket[e] if back == 0 else _behind(bucket[e], outer, inner)
+                if own < 0 or twin[own] >= 0:
+                    continue
+                forth, found = corners[own // 3, own % 3] == v, 0
+                for o in range(e + 1, last):
+                    if far[o] != far[e]:
+                        if crowded:
+                            break
+                        continue
+                    other = bucket[o]
+                    if cell[other // 3] != cell[own // 3]:
+                        other = _behind(other, outer, inner)
+                        if other < 0 or cell[other // 3] != cell[own // 3]:
+                            continue
                     found += 1
-                    twin[own], twin[bucket[o]] = bucket[o], own
-                elif crowded:
-                    break
-            if found != 1 or (corners[own // 3, own % 3] == v) == (corners[twin[own] // 3, twin[own] % 3] == v):
-                failed[v] = True
-    if failed.any():
-        twin[0] = -2
+                    if forth == (corners[other // 3, other % 3] == v):
+                        found = 2
+                    twin[own], twin[other] = other, own
+                if found != 1:
+                    twin[0] = -2
+                    return twin
     return twin
+
+
+@njit(cache=True, inline="always")
+def _behind(edge, outer, inner):
+    """The same edge of the other side of a crack's face, -1 for an outer one."""
+    mate = _mate(edge // 3, outer, inner)
+    return 3 * mate + 2 - edge % 3 if mate >= 0 else -1
 
 
 @njit(cache=True)
