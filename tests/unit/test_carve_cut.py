@@ -111,6 +111,21 @@ def test_planar_crack_is_flat_to_a_twentieth_of_a_voxel():
         assert np.abs(off).mean() < 0.05 and np.abs(off).max() < 0.5
 
 
+def test_roughness_scatters_crack_faces_and_nothing_else():
+    shape = slab(0.5)
+    pattern = cells(shape, 6)
+    plain, rough = (cut(shape, pattern, density=1, roughness=grain) for grain in (0, 0.3 * GRID.spacing))
+    assert len(plain) == len(rough)
+    assert_fills(rough, shape)
+    assert_outside_is_original(rough, shape)
+    assert_neighbours_fit(rough)
+    spread = [np.concatenate([p.mesh.area_vectors[p.source < 0] for p in pieces]) for pieces in (plain, rough)]
+    area = [np.linalg.norm(vectors, axis=1).sum() for vectors in spread]
+    assert 1.02 * area[0] < area[1] < 1.5 * area[0]
+    with pytest.raises(BadInput, match="roughness"):
+        cut(shape, pattern, density=1, roughness=-1)
+
+
 def test_mass_centre_and_inertia_are_those_of_the_pieces():
     shape = slab(0.5)
     distance = signed_distance(shape.mesh, GRID)

@@ -25,6 +25,8 @@ class PatternBreaker:
 
     source: PatternSource
     material: Material
+    roughness: float = 0.0
+    """Grain of the crack faces [m]."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
         area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
@@ -34,5 +36,6 @@ class PatternBreaker:
         if pattern is None or pattern.count < 2:
             return None
         with stage("cut"):
-            fragments = cut(shape, pattern, density=self.material.density)
+            roughness = self.roughness / shape.size
+            fragments = cut(shape, pattern, density=self.material.density, roughness=roughness)
         return fragments if len(fragments) > 1 else None  # what the pattern parts may be dust to the mesh

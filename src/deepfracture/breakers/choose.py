@@ -24,14 +24,23 @@ BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
 
 
 def make_breaker(
-    name: str, shape: Shape, material: Material, grid: Grid, *, model: Path | None = None, dataset: Path | None = None
+    name: str,
+    shape: Shape,
+    material: Material,
+    grid: Grid,
+    *,
+    model: Path | None = None,
+    dataset: Path | None = None,
+    roughness: float = 0.0,
 ) -> Breaker:
     """The breaker called `name` for `shape`; `model` overrides the shipped one. `nearest` and `random` recall the
     patterns of `dataset`, and `cvd` learns from it how many fragments an impulse gives.
+    `roughness`: grain of the crack faces [m].
 
     Raises `BadInput` when the name is unknown, or when no trained model or data set exists for the shape."""
     memory = None if dataset is None else recall(shape, dataset)
-    return PatternBreaker(make_source(name, shape, material, grid, model=model, memory=memory), material)
+    source = make_source(name, shape, material, grid, model=model, memory=memory)
+    return PatternBreaker(source, material, roughness)
 
 
 def make_source(

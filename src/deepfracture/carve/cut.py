@@ -35,7 +35,7 @@ TRIES = 4
 """Draws of the jitter, each another, after which a cut that no draw makes exact is given up."""
 
 
-def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
+def cut(shape: Shape, pattern: FracturePattern, *, density: float, roughness: float = 0.0) -> Fragments:
     """Cut the original mesh of a shape along a pattern's cracks.
 
     Every fragment is one connected solid with a closed 2-manifold surface; together they fill the original.
@@ -50,19 +50,24 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float) -> Fragments:
         shape: The whole body.
         pattern: Its cracks, on any grid.
         density: [kg/m^3]
+        roughness: Grain of the crack faces [m]: their vertices are scattered by up to this, at most within a voxel.
 
     Raises:
-        BadInput: The mesh is not closed and oriented, or density is not positive.
+        BadInput: The mesh is not closed and oriented, density is not positive, or roughness is negative.
         NoSolution: The mesh degenerates so that its crossings cannot be told.
     """
     if not density > 0:
         raise BadInput(f"density must be positive, got {density}")
+    if not 0 <= roughness < np.inf:
+        raise BadInput(f"roughness must be zero or more, got {roughness}")
     ground = ground_of(shape.mesh, pattern.grid, shape.name)
     with stage("cells"):
         labels, edges = cell_labels(ground, pattern)
     for attempt in range(TRIES):
         with stage("sheets"):
-            sheets = crack_sheets(labels, edges, pattern, ground.low, seed=attempt)
+            sheets = crack_sheets(
+                labels, edges, pattern, ground.low, grain=roughness / pattern.grid.spacing, seed=attempt
+            )
         try:
             pieces = _pieces(shape.mesh, pattern.grid, ground, labels, sheets)
         except NotGeneral:

@@ -42,7 +42,9 @@ class Sheets:
     """The four cubes around that edge, as indices into `cubes`, shape (q, 4): they hold all of its triangles."""
 
 
-def crack_sheets(labels: Labels, edges: Ints, pattern: FracturePattern, low: Ints, *, seed: int = 0) -> Sheets:
+def crack_sheets(
+    labels: Labels, edges: Ints, pattern: FracturePattern, low: Ints, *, grain: float = 0.0, seed: int = 0
+) -> Sheets:
     """The surfaces between cells.
 
     A vertex stands in every cube that a sheet passes. It starts at the mean of the cracks' crossings of the cube's
@@ -52,7 +54,8 @@ def crack_sheets(labels: Labels, edges: Ints, pattern: FracturePattern, low: Int
         labels, edges: From `cell_labels`.
         pattern: Where its distances are known, they say where cracks cross grid edges.
         low: Grid index of the first voxel of `labels`.
-        seed: Of the jitter.
+        grain: Vertices are scattered by up to this [voxels], still without leaving their cubes.
+        seed: Of grain and jitter.
     """
     number = np.zeros(labels.size, np.int32)
     around, cubes = _cubes(labels.shape, edges, number)
@@ -63,7 +66,10 @@ def crack_sheets(labels: Labels, edges: Ints, pattern: FracturePattern, low: Int
     points = start = np.clip(points, middle - REACH, middle + REACH)
     for _ in range(SMOOTHING_STEPS):
         points = _relax(points, start, trusted, links, middle)
-    jitter = np.random.default_rng(seed).uniform(-JITTER, JITTER, (len(points) + len(edges), 3))
+    rng = np.random.default_rng(seed)
+    if grain > 0:
+        points = np.clip(points + rng.uniform(-grain, grain, points.shape), middle - REACH, middle + REACH)
+    jitter = rng.uniform(-JITTER, JITTER, (len(points) + len(edges), 3))
     points += jitter[: len(points)]
     points, triangles, sides, quads = _triangles(labels, points, around, edges, jitter[len(points) :])
     return Sheets(points, cubes, number, triangles, sides, quads, around)

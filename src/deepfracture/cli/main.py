@@ -45,6 +45,7 @@ def shatter(
     model: Path | None = None,
     dataset: Path | None = None,
     resolution: int = 64,
+    roughness: float = 0.0,
     engine: str = "rapier",
     seed: int = 0,
     repair: bool = False,
@@ -62,6 +63,7 @@ def shatter(
         model: trained weights instead of the shipped ones.
         dataset: simulated patterns that --breaker nearest and random recall.
         resolution: voxels along each axis for physical and voronoi.
+        roughness: grain of the crack faces [m], of a body two metres long.
         engine: rapier or bullet.
         seed: the same seed gives the same bytes.
         repair: mend a mesh that is not closed.
@@ -71,7 +73,7 @@ def shatter(
 
     run(
         shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, model=model, dataset=dataset,
-        resolution=resolution, engine=engine, seed=seed, repair=repair, film=film,
+        resolution=resolution, roughness=roughness, engine=engine, seed=seed, repair=repair, film=film,
     )  # fmt: skip
 
 

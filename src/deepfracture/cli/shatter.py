@@ -25,15 +25,15 @@ from deepfracture.world import simulate as run_world
 if TYPE_CHECKING:
     from .main import Throw
 
-AGAIN = ("physical", "voronoi")
-"""Breakers that know any shape, so also fragments that break again."""
+AGAIN = ("learned", "physical", "voronoi")
+"""Breakers that know what becomes of a fragment that is hit again."""
 UPRIGHT = {"z": (1.0, 0.0, 0.0, 0.0), "y": (0.5**0.5, 0.5**0.5, 0.0, 0.0), "x": (0.5**0.5, 0.0, -(0.5**0.5), 0.0)}
 """Rotation (w, x, y, z) that turns this axis of the file to the world's z."""
 
 
 def shatter(
     name: str, *, breaker: str, out: Path, material: str, throw: Throw, scene: Path | None, model: Path | None,
-    dataset: Path | None, resolution: int, engine: str, seed: int, repair: bool, film: bool,
+    dataset: Path | None, resolution: int, roughness: float, engine: str, seed: int, repair: bool, film: bool,
 ) -> None:  # fmt: skip
     """Break the shape `name` (or replay `scene`) and write everything into the folder `out`."""
     with collect_stages() as stages:
@@ -48,7 +48,7 @@ def shatter(
                 shapes = [load_shape(placed.shape, repair=repair) for placed in played.shapes]
         with stage("load breakers"):
             chosen = played.breaker or breaker
-            seam, materials = _breakers(chosen, played, shapes, Grid(resolution), model, dataset)
+            seam, materials = _breakers(chosen, played, shapes, Grid(resolution), model, dataset, roughness)
         with stage("world, with the break"):
             outcome = run_world(played, shapes, seam, rng, materials=materials)
         files = _write(outcome, played, out, stages, film=film)
@@ -77,14 +77,22 @@ def _throw(name: str, shape: Shape, throw: Throw, material: str, engine: str, se
 
 
 def _breakers(
-    name: str, scene: Scene, shapes: list[Shape], grid: Grid, model: Path | None, dataset: Path | None
+    name: str,
+    scene: Scene,
+    shapes: list[Shape],
+    grid: Grid,
+    model: Path | None,
+    dataset: Path | None,
+    roughness: float,
 ) -> tuple[Breaker, dict[str, Material]]:
     """One breaker that knows every shape of the scene and its fragments, and the materials by name."""
     if scene.refracture and name not in AGAIN:
-        raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {' or '.join(AGAIN)}")
+        raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {', '.join(AGAIN)}")
     materials = {placed.material: preset(placed.material) for placed in scene.shapes}
     known = {
-        id(shape): make_breaker(name, shape, materials[placed.material], grid, model=model, dataset=dataset)
+        id(shape): make_breaker(
+            name, shape, materials[placed.material], grid, model=model, dataset=dataset, roughness=roughness
+        )
         for placed, shape in zip(scene.shapes, shapes, strict=True)
     }
 

@@ -23,8 +23,8 @@ def warm() -> None:
             with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
                 shatter(
                     name, breaker=breaker, out=Path(folder), material="plaster", throw=Throw(speed=16.0, heading=0.0),
-                    scene=None, model=None, dataset=None, resolution=32, engine="rapier", seed=0, repair=False,
-                    film=True,
+                    scene=None, model=None, dataset=None, resolution=32, roughness=0.0, engine="rapier", seed=0,
+                    repair=False, film=True,
                 )  # fmt: skip
     finally:
         log.setLevel(level)
