@@ -50,7 +50,7 @@ def sheet_walls(ground: Ground, sheets: Sheets, crossing: Crossing) -> Ints:
 
     def walls(cube: Ints) -> tuple[Floats, Ints]:
         flat = np.ravel_multi_index(tuple(cube), ground.inside.shape)
-        faces = ground.touching[slice(*np.searchsorted(ground.cubes, [flat, flat + 1]))]
+        faces = ground.touching[slice(*np.searchsorted(ground.cubes, np.array([flat, flat + 1])))]
         return ground.points[ground.faces[faces]], np.tile([INSIDE, OUTSIDE], (len(faces), 1))
 
     _complete(sides, group, sheets.points, lambda corners: np.where(ground.inside[corners], INSIDE, OUTSIDE), walls)
