@@ -14,6 +14,8 @@ PASSES = 3
 """Rounds of collapses: in one, no two that have a face in common."""
 TURN = 0.5
 """Least cosine of the angle by which a collapse may turn a face that is no sliver."""
+FOLD = 0.9998
+"""Cosine of the angle between two neighbouring faces, about a degree, above which they lie on each other."""
 MANY = 64
 """Faces at a vertex above which its edges stay."""
 
@@ -325,12 +327,33 @@ def _cross(one, its, two, other):
     shared = 0
     for n in range(3):
         shared += its[n] == other[0] or its[n] == other[1] or its[n] == other[2]
-    if shared > 1 or _on_one_side(one, two) or _on_one_side(two, one):
+    if shared == 2:
+        return _folded(one, its, two, other)
+    if shared == 3 or _on_one_side(one, two) or _on_one_side(two, one):
         return False
     found = False
     for n in range(3):
         found = found or _edge_pierces(one, its, n, two, other) or _edge_pierces(two, other, n, one, its)
     return found
+
+
+@njit(cache=True)
+def _folded(one, its, two, other):
+    """Whether two triangles with a common edge lie on each other."""
+    n, m = 0, 0
+    for x in range(3):
+        if its[x] not in (other[0], other[1], other[2]):
+            n = x
+        if other[x] not in (its[0], its[1], its[2]):
+            m = x
+    start, along = one[(n + 1) % 3], one[(n + 2) % 3] - one[(n + 1) % 3]
+    square = (along * along).sum()
+    if square == 0:
+        return True
+    up, over_there = one[n] - start, two[m] - start
+    up = up - along * ((up * along).sum() / square)
+    over_there = over_there - along * ((over_there * along).sum() / square)
+    return (up * over_there).sum() > FOLD * np.sqrt((up * up).sum() * (over_there * over_there).sum())
 
 
 @njit(cache=True)
