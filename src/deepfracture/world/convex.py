@@ -20,8 +20,8 @@ CORNERS = 128
 SAMPLE = 300
 """About as many points say where the hull begins."""
 JOGGLE = 2e-5
-"""Points are moved about by so much at random [m]: then no four lie in a plane and no three on a line, and what is
-in front of a face is never a matter of rounding."""
+"""While the hull is found, points are taken to lie up to so much elsewhere [m], at random: then no four lie in a
+plane and no three on a line, and what is in front of a face is never a matter of rounding."""
 
 
 class _Faces(NamedTuple):
@@ -75,7 +75,7 @@ def hull(points, sag):
         first = _simplex(points, np.arange(len(points)), sag)
     if first[3] < 0:
         return _box(points, sag)
-    points = _joggled(points)
+    given, points = points, _joggled(points)
     corner = np.empty(CORNERS, np.int64)
     corner[:4] = first
     most = 4 * CORNERS
@@ -105,7 +105,7 @@ def hull(points, sag):
     for k in range(faces.ends[0]):
         if faces.alive[k]:
             a, b, c = corner[faces.corners[k, 0]], corner[faces.corners[k, 1]], corner[faces.corners[k, 2]]
-            put(triangles, m, points[a], points[b], points[c])
+            put(triangles, m, given[a], given[b], given[c])
             m += 1
     return triangles
 
