@@ -13,6 +13,8 @@ from deepfracture.types import Floats, Ints
 
 FLIPS = 8
 """Diagonals flipped for each triangle of a polygon, at most."""
+FEW = 16
+"""Triangles of a polygon up to which comparing all their edges is quicker than sorting them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,24 +282,29 @@ def _around_holes(loops: Ints, loop_start: Ints, flat: Floats, outer: int, holes
 @njit(cache=True)
 def _ears(loops, loop_start, flat, wanted):
     """Triangles of simple polygons, and the loop of each: the best-shaped ear first."""
-    room = 0
+    room, longest = 0, 3
     for n in range(len(wanted)):
         if wanted[n]:
             room += loop_start[n + 1] - loop_start[n] - 2
+            longest = max(longest, loop_start[n + 1] - loop_start[n])
     corners, of = np.empty((room, 3), np.int64), np.empty(room, np.int64)
+    before, after, worth = np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(longest)
+    beside = np.empty(3 * longest, np.int64)
     made = 0
     for n in range(len(wanted)):
         if not wanted[n]:
             continue
         first, size = loop_start[n], loop_start[n + 1] - loop_start[n]
-        before, after = np.empty(size, np.int64), np.empty(size, np.int64)
-        for m in range(size):
-            before[m], after[m] = (m - 1) % size, (m + 1) % size
-        worth = np.empty(size)
+        if size == 3:
+            corners[made, 0], corners[made, 1], corners[made, 2] = loops[first + 2], loops[first], loops[first + 1]
+            of[made] = n
+            made += 1
+            continue
         own = flat[first : first + size]
-        if size > 3:
-            for m in range(size):
-                worth[m] = _worth(own, before, after, m)
+        for m in range(size):
+            before[m], after[m] = m - 1 if m > 0 else size - 1, m + 1 if m < size - 1 else 0
+        for m in range(size):
+            worth[m] = _worth(own, before, after, m)
         at = 0
         for left in range(size, 2, -1):
             if left > 3:
@@ -317,8 +324,7 @@ def _ears(loops, loop_start, flat, wanted):
             if left > 4:
                 worth[a] = _worth(own, before, after, a)
                 worth[b] = _worth(own, before, after, b)
-        if size > 3:
-            _flip(own, corners[made - size + 2 : made])
+        _flip(own, corners[made - size + 2 : made], beside)
         for m in range(made - size + 2, made):
             for x in range(3):
                 corners[m, x] = loops[first + corners[m, x]]
@@ -326,20 +332,38 @@ def _ears(loops, loop_start, flat, wanted):
 
 
 @njit(cache=True)
-def _flip(flat, corners):
-    """Flip diagonals between two triangles while that makes the worse of the two better: ears leave slivers where
-    nodes lie in one line."""
-    count = len(corners)
-    keys = np.empty(3 * count, np.int64)
-    for e in range(3 * count):
+def _neighbours(corners, beside):
+    """For the edge after each corner of some triangles the one that runs back, -1 for none; into `beside`."""
+    count = 3 * len(corners)
+    beside[:count] = -1
+    if count > 3 * FEW:
+        keys = np.empty(count, np.int64)
+        most = corners.max() + 1
+        for e in range(count):
+            a, b = corners[e // 3, e % 3], corners[e // 3, (e % 3 + 1) % 3]
+            keys[e] = min(a, b) * most + max(a, b)
+        order = np.argsort(keys)
+        for m in range(count - 1):
+            e, f = order[m], order[m + 1]
+            if keys[e] == keys[f]:
+                beside[e], beside[f] = f, e
+        return
+    for e in range(count):
+        if beside[e] >= 0:
+            continue
         a, b = corners[e // 3, e % 3], corners[e // 3, (e % 3 + 1) % 3]
-        keys[e] = min(a, b) * len(flat) + max(a, b)
-    order = np.argsort(keys)
-    beside = np.full(3 * count, -1, np.int64)
-    for m in range(3 * count - 1):
-        e, f = order[m], order[m + 1]
-        if keys[e] == keys[f]:
-            beside[e], beside[f] = f, e
+        for f in range(e // 3 * 3 + 3, count):
+            if corners[f // 3, f % 3] == b and corners[f // 3, (f % 3 + 1) % 3] == a:
+                beside[e], beside[f] = f, e
+                break
+
+
+@njit(cache=True)
+def _flip(flat, corners, beside):
+    """Flip diagonals between two triangles while that makes the worse of the two better: ears leave slivers where
+    nodes lie in one line. `beside`: scratch."""
+    count = len(corners)
+    _neighbours(corners, beside)
     left = FLIPS * count
     changed = True
     while changed and left > 0:

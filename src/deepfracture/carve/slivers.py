@@ -28,25 +28,54 @@ def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_fro
     its points meets along all of it, and no two faces become one (link condition, Dey et al. 1999). Only edges at the
     points from `nodes_from` on are looked at, where cracks cross the surface."""
     of_outer, of_inner = _near(faces.outer, faces.inner, nodes_from, len(faces.positions))
-    corners = np.concatenate([faces.outer[of_outer], faces.inner[of_inner]])
-    outside = np.stack([np.zeros(len(of_outer), np.int64), faces.cell[of_outer]], axis=1)
-    sides = np.concatenate([outside, faces.sides[of_inner]])
-    source = np.concatenate([faces.source[of_outer], np.full(len(of_inner), -1)])
-    changed = False
+    corners, sides, source = _gathered(
+        faces.outer, faces.source, faces.cell, of_outer, faces.inner, faces.sides, of_inner
+    )  # fmt: skip
+    changed, sheets = False, (originals, nodes_from)
     for _ in range(PASSES):
         short = _short_edges(faces.positions, corners, shortest, nodes_from)
-        if not len(short) or not _collapse(faces.positions, corners, sides, source, short, shortest, originals):
+        if not len(short) or not _collapse(faces.positions, corners, sides, source, short, shortest, sheets):
             break
         changed = True
     if not changed:
         return faces
-    outer, inner = faces.outer.copy(), faces.inner.copy()
-    outer[of_outer], inner[of_inner] = corners[: len(of_outer)], corners[len(of_outer) :]
-    left, right = outer[:, 0] >= 0, inner[:, 0] >= 0
+    outer, of = _put_back(faces.outer, of_outer, corners[: len(of_outer)])
+    inner, below = _put_back(faces.inner, of_inner, corners[len(of_outer) :])
     return replace(
-        faces, outer=outer[left], source=faces.source[left], cell=faces.cell[left], inner=inner[right],
-        sides=faces.sides[right],
-    )  # fmt: skip
+        faces, outer=outer, source=faces.source[of], cell=faces.cell[of], inner=inner, sides=faces.sides[below]
+    )
+
+
+@njit(cache=True)
+def _gathered(outer, source, cell, of_outer, inner, sides, of_inner):
+    """Corners of some outer and some inner faces, cells below and above them (0: outside), source (-1: none)."""
+    m, k = len(of_outer), len(of_inner)
+    corners, beside, lies_in = np.empty((m + k, 3), np.int64), np.empty((m + k, 2), np.int64), np.empty(m + k, np.int64)
+    for n in range(m):
+        f = of_outer[n]
+        corners[n, 0], corners[n, 1], corners[n, 2] = outer[f, 0], outer[f, 1], outer[f, 2]
+        beside[n, 0], beside[n, 1], lies_in[n] = 0, cell[f], source[f]
+    for n in range(k):
+        f = of_inner[n]
+        corners[m + n, 0], corners[m + n, 1], corners[m + n, 2] = inner[f, 0], inner[f, 1], inner[f, 2]
+        beside[m + n, 0], beside[m + n, 1], lies_in[m + n] = sides[f, 0], sides[f, 1], -1
+    return corners, beside, lies_in
+
+
+@njit(cache=True)
+def _put_back(faces, of, corners):
+    """All faces with some of them changed, without those that are gone; and which of the old ones each is."""
+    left, rows = np.empty_like(faces), np.empty(len(faces), np.int64)
+    count, at = 0, 0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if at < len(of) and of[at] == f:
+            a, b, c = corners[at, 0], corners[at, 1], corners[at, 2]
+            at += 1
+        if a >= 0:
+            left[count, 0], left[count, 1], left[count, 2], rows[count] = a, b, c, f
+            count += 1
+    return left[:count], rows[:count]
 
 
 @njit(cache=True)
@@ -94,10 +123,12 @@ def _short_edges(positions, corners, shortest, nodes_from):
 
 
 @njit(cache=True)
-def _collapse(positions, corners, sides, source, short, shortest, originals):
-    """Collapse what can go; rows of `corners` that are gone become -1. Returns how many edges went."""
+def _collapse(positions, corners, sides, source, short, shortest, sheets):
+    """Collapse what can go; rows of `corners` that are gone become -1. Returns how many edges went.
+
+    `sheets`: the first of the points that belong to sheets alone, and one past the last."""
     slot, start, around = _faces_around(len(positions), corners, short)
-    busy = np.zeros(len(corners), np.bool_)
+    busy, seen = np.zeros(len(corners), np.bool_), np.zeros(len(corners) + 1, np.int64)
     gone = 0
     for e in range(len(short)):
         a, b = short[e]
@@ -105,16 +136,16 @@ def _collapse(positions, corners, sides, source, short, shortest, originals):
         other = around[start[slot[b]] : start[slot[b] + 1]]
         if max(len(own), len(other)) > MANY or _any(busy, own) or _any(busy, other):
             continue
-        if not _is_whole(corners, sides, own, other, a, b):
+        # The higher point goes to the lower, as those of the original come first, or the lower to the higher.
+        down = _may_move(positions, corners, source, other, own, b, a, shortest)
+        up = a >= sheets[0] and _may_move(positions, corners, source, own, other, a, b, shortest)
+        if not (down or up) or not _is_whole(corners, sides, own, other, a, b):
             continue
-        # The higher point goes to the lower: those of the original come first.
         stays, goes, faces = a, b, other
-        fine = _may_move(positions, corners, source, other, own, b, a, shortest)
-        fine = fine and not _crosses(positions, corners, source, other, b, a, slot, start, around)
-        if not fine and a >= originals:
+        fine = down and not _crosses(positions, corners, source, other, b, a, slot, start, around, seen, sheets)
+        if not fine and up:
             stays, goes, faces = b, a, own
-            fine = _may_move(positions, corners, source, own, other, a, b, shortest)
-            fine = fine and not _crosses(positions, corners, source, own, a, b, slot, start, around)
+            fine = not _crosses(positions, corners, source, own, a, b, slot, start, around, seen, sheets)
         if not fine:
             continue
         for f in own:
@@ -232,9 +263,13 @@ def _stays_closed(corners, sides, own, other, a, b):
                         ends[count, 0], ends[count, 1] = corners[f, n], sides[f, m]
                         count += 1
     for e in range(count):
-        same = 0
-        for o in range(count):
-            same += ends[o, 0] == ends[e, 0] and ends[o, 1] == ends[e, 1]
+        if ends[e, 0] < 0:
+            continue
+        same = 1
+        for o in range(e + 1, count):
+            if ends[o, 0] == ends[e, 0] and ends[o, 1] == ends[e, 1]:
+                ends[o, 0] = -1
+                same += 1
         if same != 2:
             return False
     return True
@@ -282,43 +317,48 @@ def _may_move(positions, corners, source, faces, others, goes, stays, shortest):
 
 
 @njit(cache=True)
-def _crosses(positions, corners, source, faces, goes, stays, slot, start, around):
-    """Whether a face that moves with `goes` to `stays` would cross one nearby, or a crack's face lie in the surface."""
+def _crosses(positions, corners, source, faces, goes, stays, slot, start, around, seen, sheets):
+    """Whether a face that moves with `goes` to `stays` would cross one nearby, or a crack's face lie in the surface.
+
+    `seen`: the comparison in which each face last took part, and the number of comparisons; `sheets`: the first of the
+    points that belong to sheets alone, and one past the last."""
     new, near = np.empty((3, 3)), np.empty((3, 3))
     names, others = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in faces:
         if _has(corners, f, stays):
             continue
-        for n in range(3):
-            names[n] = stays if corners[f, n] == goes else corners[f, n]
-            new[n] = positions[names[n]]
-        if source[f] < 0 and _on_surface(names, source, slot, start, around):
+        on_surface = _moved(positions, corners, f, goes, stays, names, new, sheets)
+        if source[f] < 0 and on_surface:
             return True
+        seen[-1] += 1
         for n in range(3):
             at = slot[names[n]]
             if start[at + 1] - start[at] > MANY:
                 return True
-            for g in around[start[at] : start[at + 1]]:
+            for where in range(start[at], start[at + 1]):
+                g = around[where]
+                if seen[g] == seen[-1]:
+                    continue
+                seen[g] = seen[-1]
                 if corners[g, 0] < 0 or g == f or (_has(corners, g, goes) and _has(corners, g, stays)):
                     continue
-                for m in range(3):
-                    others[m] = stays if corners[g, m] == goes else corners[g, m]
-                    near[m] = positions[others[m]]
+                _moved(positions, corners, g, goes, stays, others, near, sheets)
                 if _cross(new, names, near, others):
                     return True
     return False
 
 
-@njit(cache=True)
-def _on_surface(names, source, slot, start, around):
-    """Whether three points all lie on the body's surface: a crack's face between them may lie in it."""
-    count = 0
+@njit(cache=True, inline="always")
+def _moved(positions, corners, face, goes, stays, names, places, sheets):
+    """A face's points and their places once `goes` is `stays`. Returns whether all lie on the body's surface."""
+    on_surface = True
     for n in range(3):
-        for f in around[start[slot[names[n]]] : start[slot[names[n]] + 1]]:
-            if source[f] >= 0:
-                count += 1
-                break
-    return count == 3
+        v = corners[face, n]
+        names[n] = stays if v == goes else v
+        on_surface &= not sheets[0] <= names[n] < sheets[1]
+        for x in range(3):
+            places[n, x] = positions[names[n], x]
+    return on_surface
 
 
 @njit(cache=True)
@@ -329,12 +369,41 @@ def _cross(one, its, two, other):
         shared += its[n] == other[0] or its[n] == other[1] or its[n] == other[2]
     if shared == 2:
         return _folded(one, its, two, other)
-    if shared == 3 or _on_one_side(one, two) or _on_one_side(two, one):
+    if shared == 3 or (shared == 0 and _apart(one, two)):
         return False
-    found = False
+    a0, a1, a2 = _height(one, its, two, other, 0), _height(one, its, two, other, 1), _height(one, its, two, other, 2)
+    if min(a0, a1, a2) >= 0 or max(a0, a1, a2) <= 0:
+        return False
+    b0, b1, b2 = _height(two, other, one, its, 0), _height(two, other, one, its, 1), _height(two, other, one, its, 2)
+    if min(b0, b1, b2) >= 0 or max(b0, b1, b2) <= 0:
+        return False
     for n in range(3):
-        found = found or _edge_pierces(one, its, n, two, other) or _edge_pierces(two, other, n, one, its)
-    return found
+        here, there = (a0, a1) if n == 0 else ((a1, a2) if n == 1 else (a2, a0))
+        if here * there < 0 and pierces(two[n], two[(n + 1) % 3], one) == 1:
+            return True
+        here, there = (b0, b1) if n == 0 else ((b1, b2) if n == 1 else (b2, b0))
+        if here * there < 0 and pierces(one[n], one[(n + 1) % 3], two) == 1:
+            return True
+    return False
+
+
+@njit(cache=True, inline="always")
+def _height(one, its, two, other, n):
+    """Side of the first triangle on which a corner of the second lies, 0 for a common point."""
+    if other[n] == its[0] or other[n] == its[1] or other[n] == its[2]:
+        return 0
+    return over(one, two[n])
+
+
+@njit(cache=True, inline="always")
+def _apart(one, two):
+    """Whether the boxes of two triangles lie beside each other."""
+    for x in range(3):
+        if max(one[0, x], one[1, x], one[2, x]) < min(two[0, x], two[1, x], two[2, x]):
+            return True
+        if min(one[0, x], one[1, x], one[2, x]) > max(two[0, x], two[1, x], two[2, x]):
+            return True
+    return False
 
 
 @njit(cache=True)
@@ -342,35 +411,26 @@ def _folded(one, its, two, other):
     """Whether two triangles with a common edge lie on each other."""
     n, m = 0, 0
     for x in range(3):
-        if its[x] not in (other[0], other[1], other[2]):
+        if its[x] != other[0] and its[x] != other[1] and its[x] != other[2]:
             n = x
-        if other[x] not in (its[0], its[1], its[2]):
+        if other[x] != its[0] and other[x] != its[1] and other[x] != its[2]:
             m = x
-    start, along = one[(n + 1) % 3], one[(n + 2) % 3] - one[(n + 1) % 3]
-    square = (along * along).sum()
+    i, j = (n + 1) % 3, (n + 2) % 3
+    square, up, over_there = 0.0, 0.0, 0.0
+    for x in range(3):
+        along = one[j, x] - one[i, x]
+        square += along * along
+        up += (one[n, x] - one[i, x]) * along
+        over_there += (two[m, x] - one[i, x]) * along
     if square == 0:
         return True
-    up, over_there = one[n] - start, two[m] - start
-    up = up - along * ((up * along).sum() / square)
-    over_there = over_there - along * ((over_there * along).sum() / square)
-    return (up * over_there).sum() > FOLD * np.sqrt((up * up).sum() * (over_there * over_there).sum())
-
-
-@njit(cache=True)
-def _on_one_side(one, two):
-    """Whether the corners of the second triangle lie on one side of the first, or in its plane."""
-    a, b, c = over(one, two[0]), over(one, two[1]), over(one, two[2])
-    return min(a, b, c) >= 0 or max(a, b, c) <= 0
-
-
-@njit(cache=True)
-def _edge_pierces(one, its, n, two, other):
-    """Whether the edge after corner n of the first triangle pierces the second."""
-    m = (n + 1) % 3
+    dot, first, second = 0.0, 0.0, 0.0
     for x in range(3):
-        if its[n] == other[x] or its[m] == other[x]:
-            return False
-    return over(two, one[n]) * over(two, one[m]) < 0 and pierces(one[n], one[m], two) == 1
+        along = one[j, x] - one[i, x]
+        a = one[n, x] - one[i, x] - along * (up / square)
+        b = two[m, x] - one[i, x] - along * (over_there / square)
+        dot, first, second = dot + a * b, first + a * a, second + b * b
+    return dot > FOLD * np.sqrt(first * second)
 
 
 @njit(cache=True, inline="always")
