@@ -7,6 +7,7 @@ from numba import njit
 
 from deepfracture.carve.ground import Ground
 from deepfracture.carve.parts import connected_labels
+from deepfracture.threads import spread
 from deepfracture.types import FracturePattern, Ints, Labels
 
 
@@ -29,7 +30,8 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
-    edges = _edges(labels, ground.voxels)
+    found = spread(lambda first, last: _edges(labels, ground.voxels, first, last), len(ground.voxels), least=65536)
+    edges = np.concatenate(found)
     changed = _join_diagonals(labels, edges)
     if len(changed):
         edges = _renewed(labels, edges, changed, np.zeros(labels.size, np.bool_))
@@ -94,13 +96,14 @@ def _grow(labels, empty):
     return empty[:left]
 
 
-@njit(cache=True)
-def _edges(labels, voxels):
+@njit(cache=True, nogil=True)
+def _edges(labels, voxels, first, last):
     flat = labels.reshape(-1)
     s0, s1 = labels.shape[1] * labels.shape[2], labels.shape[2]
     edges = np.empty((1024, 2), np.int64)
     count = 0
-    for v in voxels:
+    for n in range(first, last):
+        v = voxels[n]
         own = flat[v]
         x, y, z = flat[v + s0], flat[v + s1], flat[v + 1]
         if x == own and y == own and z == own:

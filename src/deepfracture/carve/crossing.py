@@ -10,6 +10,7 @@ from numba import njit
 from deepfracture.carve.ground import Ground
 from deepfracture.carve.predicates import side, volume
 from deepfracture.carve.sheets import Sheets
+from deepfracture.threads import spread
 from deepfracture.types import Floats, Ints
 
 OUTSIDE, INSIDE = 1, 2
@@ -91,12 +92,16 @@ def edge_codes(triangles: Ints, count: int) -> Ints:
 def cross(ground: Ground, sheets: Sheets) -> Crossing:
     """All crossings of sheets and surface. Raises NotGeneral if they cannot be told exactly."""
     start, members = _members(sheets.number, len(sheets.cubes), ground.cubes, ground.touching)
-    failed, segments = _segments(
-        ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
-        start, members,
+    found = spread(
+        lambda first, last: _segments(
+            ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
+            start, members, first, last,
+        ),
+        len(sheets.around), least=4096,
     )  # fmt: skip
-    if failed:
+    if any(failed for failed, _ in found):
         raise NotGeneral
+    segments = np.concatenate([part for _, part in found])
     # An end of a segment is an edge (of the surface: ~number, of the sheets: code) and a triangle of the other.
     keys = segments[:, 2:].reshape(-1, 2)
     order = np.lexsort(keys.T)
@@ -108,7 +113,13 @@ def cross(ground: Ground, sheets: Sheets) -> Crossing:
     on_surface = nodes[:, 0] < 0
     ends = np.stack(np.divmod(nodes[:, 0], len(sheets.points)), axis=1)
     ends[on_surface] = ground.edges[~nodes[on_surface, 0]]
-    share, from_below = _shares(ground.points, ground.faces, sheets.points, sheets.triangles, nodes, ends)
+    share, from_below = np.empty(len(nodes)), np.empty(len(nodes), np.bool_)
+    spread(
+        lambda first, last: _shares(
+            ground.points, ground.faces, sheets.points, sheets.triangles, nodes, ends, share, from_below, first, last
+        ),
+        len(nodes), least=1024,
+    )  # fmt: skip
     points = np.where(on_surface[:, None, None], ground.points[ends * on_surface[:, None]],
                       sheets.points[ends * ~on_surface[:, None]])  # fmt: skip
     positions = points[:, 0] + share[:, None] * (points[:, 1] - points[:, 0])
@@ -157,15 +168,15 @@ def _members(number, count, touched, touching):
     return start, members
 
 
-@njit(cache=True)
-def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, start, members):
+@njit(cache=True, nogil=True)
+def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, start, members, from_quad, to_quad):
     """Rows of (face, triangle, edge and triangle of the tail, edge and triangle of the head)."""
     segments = np.empty((256, 6), np.int64)
     count = 0
     seen = np.full(len(faces), -1, np.int64)
     row = np.empty(6, np.int64)
     s, c, box, planes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3)), np.empty((5, 9))
-    for quad in range(len(around)):
+    for quad in range(from_quad, to_quad):
         first, last = quads[quad], quads[quad + 1]
         known = False
         for corner in range(4):
@@ -381,19 +392,17 @@ def pierces(a, b, t):
     return 1
 
 
-@njit(cache=True)
-def _shares(points, faces, sheet_points, triangles, nodes, ends):
-    """How far along its edge each node lies, and whether the edge's first vertex is below the other's triangle."""
-    share = np.empty(len(nodes))
-    below = np.empty(len(nodes), np.bool_)
-    for n in range(len(nodes)):
+@njit(cache=True, nogil=True)
+def _shares(points, faces, sheet_points, triangles, nodes, ends, share, below, first, last):
+    """How far along its edge each of some nodes lies, and whether the edge's first vertex is below the other's
+    triangle."""
+    for n in range(first, last):
         if nodes[n, 0] < 0:
             t, a, b = sheet_points[triangles[nodes[n, 1]]], points[ends[n, 0]], points[ends[n, 1]]
         else:
             t, a, b = points[faces[nodes[n, 1]]], sheet_points[ends[n, 0]], sheet_points[ends[n, 1]]
         one, two = _volume(t, a), _volume(t, b)
         share[n], below[n] = one / (one - two), one < 0
-    return share, below
 
 
 @njit(cache=True, inline="always")

@@ -14,6 +14,7 @@ from deepfracture.carve.slivers import without_short_edges
 from deepfracture.carve.solids import Faces, Solid, solids
 from deepfracture.geometry import mass_properties
 from deepfracture.progress import stage
+from deepfracture.threads import spread, together
 from deepfracture.types import (
     BadInput,
     FracturePattern,
@@ -70,20 +71,25 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float, roughness: fl
             )
         try:
             pieces = _pieces(shape.mesh, pattern.grid, ground, labels, sheets)
+            break
         except NotGeneral:
             continue
-        return Fragments(tuple(_fragment(piece, density) for piece in pieces))
-    raise NoSolution(
-        f"{shape.name}: cannot be cut: its surface crosses itself or degenerates where cracks cross it; try --repair"
-    )
+    else:
+        raise NoSolution(
+            f"{shape.name}: cannot be cut: its surface crosses itself or degenerates where cracks cross it; "
+            "try --repair"
+        )
+    made = spread(lambda first, last: [_fragment(p, density) for p in pieces[first:last]], len(pieces), least=1)
+    return Fragments(tuple(fragment for part in made for fragment in part))
 
 
 def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Sheets) -> list[Solid]:
     whole = Solid(mesh, np.arange(len(mesh.faces)))
     with stage("cross"):
         crossing = cross(ground, sheets)
-        cells = surface_cells(ground, sheets, crossing, labels)
-        walls = sheet_walls(ground, sheets, crossing)
+        cells, walls = together(
+            lambda: surface_cells(ground, sheets, crossing, labels), lambda: sheet_walls(ground, sheets, crossing)
+        )
     with stage("divide"):
         faces = _faces(mesh, grid, ground, sheets, crossing, cells, walls)
         faces = without_short_edges(
@@ -108,19 +114,21 @@ def _faces(
     world = np.concatenate([world, from_ + crossing.share[:, None] * (to - from_)])
     boxed = np.concatenate([ground.points, sheets.points, crossing.positions])
 
-    outer = divide(
-        crossed_triangles(
-            ground.faces, cells, lambda crossed: ground.edge_of[crossed], crossing.surface_nodes, crossing.on_faces,
-            0, n + v,
+    outer, inner = together(
+        lambda: divide(
+            crossed_triangles(
+                ground.faces, cells, lambda crossed: ground.edge_of[crossed], crossing.surface_nodes,
+                crossing.on_faces, 0, n + v,
+            ),
+            boxed, unwanted=0,
         ),
-        boxed, unwanted=0,
-    )  # fmt: skip
-    inner = divide(
-        crossed_triangles(
-            sheets.triangles, walls, lambda crossed: edge_codes(sheets.triangles[crossed], v), crossing.sheet_nodes,
-            crossing.on_sheets, n, n + v,
+        lambda: divide(
+            crossed_triangles(
+                sheets.triangles, walls, lambda crossed: edge_codes(sheets.triangles[crossed], v),
+                crossing.sheet_nodes, crossing.on_sheets, n, n + v,
+            ),
+            boxed, unwanted=OUTSIDE,
         ),
-        boxed, unwanted=OUTSIDE,
     )  # fmt: skip
     whole = np.ones(len(mesh.faces), np.bool_)
     whole[crossing.on_faces.triangle] = False

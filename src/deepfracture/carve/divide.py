@@ -90,7 +90,7 @@ def crossed_triangles(
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _rims(codes, forward, edges, start, nodes, before, after):
     """The nodes on the sides of triangles, in the order of each side, and the labels after them."""
     rim_start = np.zeros(3 * len(codes) + 1, np.int64)
@@ -136,7 +136,7 @@ def divide(crossed: Crossed, positions: Floats, *, unwanted: int) -> Division:
     return Division(corners, label[of], crossed.triangles[parent[of]])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _trace(corners, labels, rim_start, rim, beyond, start, tail, head, left, right):
     """All closed polygons with one label inside, as loops of points with the inside on the left.
 
@@ -214,7 +214,7 @@ def _following(origin, target, name):
     return following
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _projected(positions, corners, loops, loop_start):
     """The loops' points along the two axes that show their triangle best, turning to the left, shape (n, 2)."""
     flat = np.empty((len(loops), 2))
@@ -279,7 +279,7 @@ def _around_holes(loops: Ints, loop_start: Ints, flat: Floats, outer: int, holes
     return points[corners], np.full(len(corners), outer)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _ears(loops, loop_start, flat, wanted):
     """Triangles of simple polygons, and the loop of each: the best-shaped ear first."""
     room, longest = 0, 3

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
 
+from deepfracture.threads import spread
 from deepfracture.types import Floats, FracturePattern, Ints, Labels
 
 SMOOTHING_STEPS = 12
@@ -23,7 +25,7 @@ JITTER = 1e-6
 @dataclass(frozen=True, eq=False)
 class Sheets:
     """All sheets of a label field, in the voxels of its box. They do not cross themselves or each other: see
-    `_triangles`. They end only where labels do."""
+    `_turns`. They end only where labels do."""
 
     points: Floats
     """Shape (v, 3)."""
@@ -61,17 +63,23 @@ def crack_sheets(
     around, cubes = _cubes(labels.shape, edges, number)
     base = np.stack(np.unravel_index(cubes, labels.shape), axis=1)
     middle = base + 0.5
-    points, trusted, kind = _place(labels, pattern.labels, pattern.distance, low, base)
-    links = _links(labels, around, edges, base, kind)
-    points = start = np.clip(points, middle - REACH, middle + REACH)
-    for _ in range(SMOOTHING_STEPS):
-        points = _relax(points, start, trusted, links, middle)
+    points, trusted, kind = np.empty((len(base), 3)), np.empty(len(base)), np.empty(len(base), np.int32)
+    spread(
+        lambda first, last: _place(
+            labels, pattern.labels, pattern.distance, low, base, points, trusted, kind, first, last
+        ),
+        len(base), least=2048,
+    )  # fmt: skip
+    links = _linked(labels, around, edges, base, kind)
+    points = _relaxed(np.clip(points, middle - REACH, middle + REACH), trusted, links, middle)
     rng = np.random.default_rng(seed)
     if grain > 0:
         points = np.clip(points + rng.uniform(-grain, grain, points.shape), middle - REACH, middle + REACH)
     jitter = rng.uniform(-JITTER, JITTER, (len(points) + len(edges), 3))
     points += jitter[: len(points)]
-    points, triangles, sides, quads = _triangles(labels, points, around, edges, jitter[len(points) :])
+    turns = np.empty(len(edges), np.int8)
+    spread(lambda first, last: _turns(labels.shape, points, around, edges, turns, first, last), len(edges), least=8192)
+    points, triangles, sides, quads = _triangles(labels, points, around, edges, turns, jitter[len(points) :])
     return Sheets(points, cubes, number, triangles, sides, quads, around)
 
 
@@ -96,15 +104,12 @@ def _cubes(shape, edges, number):
     return around, cubes[:count].copy()
 
 
-@njit(cache=True)
-def _place(labels, source, distance, low, base):
-    """Mean crossing of each cube's edges, share of the edges whose crossing is known, number of cells."""
-    points = np.empty((len(base), 3))
-    trusted = np.zeros(len(base))
-    kind = np.zeros(len(base), np.int32)
+@njit(cache=True, nogil=True)
+def _place(labels, source, distance, low, base, points, trusted, kind, first, last):
+    """Mean crossing of some cubes' edges, share of the edges whose crossing is known, number of cells."""
     near, gap, seen = np.empty(8, np.int32), np.empty(8), np.empty(8, np.int32)
     r = distance.shape[0]
-    for v in range(len(base)):
+    for v in range(first, last):
         for n in range(8):
             i, j, k = base[v, 0] + (n >> 2), base[v, 1] + (n >> 1 & 1), base[v, 2] + (n & 1)
             near[n] = labels[i, j, k]
@@ -136,18 +141,25 @@ def _place(labels, source, distance, low, base):
         points[v, 2] = base[v, 2] + (z / crossings if crossings else 0.5)
         trusted[v] = crossings / cracks if cracks else 0.0
         kind[v] = cells
-    return points, trusted, kind
 
 
-@njit(cache=True)
-def _links(labels, around, edges, base, kind):
+def _linked(labels: Labels, around: Ints, edges: Ints, base: Ints, kind: Labels) -> Labels:
     """The neighbours each vertex relaxes towards, -1 for none, shape (u, 6).
 
     Only along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a junction
-    line (3) needs. Points where more meet get none."""
+    line (3) needs. Points where more meet get none, nor do ends of a junction line."""
     links = np.full((len(base), 6), -1, np.int32)
+    spread(lambda first, last: _links(labels, around, edges, base, kind, links, first, last), len(edges), least=4096)
+    junction = np.flatnonzero(kind == 3)
+    links[junction[(links[junction] >= 0).sum(axis=1) < 2]] = -1
+    return links
+
+
+@njit(cache=True, nogil=True)
+def _links(labels, around, edges, base, kind, links, first, last):
+    """Links across the faces of cubes at some edges. A face may be at several: they all say the same."""
     flat, strides = labels.reshape(-1), (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
-    for n in range(len(edges)):
+    for n in range(first, last):
         axis = edges[n, 1]
         for corner in range(4):
             one, two = around[n, corner], around[n, (corner + 1) % 4]
@@ -160,10 +172,6 @@ def _links(labels, around, edges, base, kind):
             for v, u, side in ((one, two, 1), (two, one, 0)):
                 if (kind[v] == 2 and cells >= 2) or (kind[v] == 3 and cells >= 3):
                     links[v, 2 * across + side] = u
-    for v in range(len(base)):
-        if kind[v] == 3 and (links[v] >= 0).sum() < 2:
-            links[v] = -1
-    return links
 
 
 @njit(cache=True, inline="always")
@@ -180,11 +188,20 @@ def _cells_on_face(flat, a, p, q):
     return count
 
 
-@njit(cache=True)
-def _relax(points, start, trusted, links, middle):
-    """One step of every vertex towards its neighbours' mean and its own start."""
-    moved = points.copy()
-    for v in range(len(points)):
+def _relaxed(start: Floats, trusted: Floats, links: Labels, middle: Floats) -> Floats:
+    points, moved = start.copy(), np.empty_like(start)
+    for _ in range(SMOOTHING_STEPS):
+        spread(
+            partial(_relax, points, start, trusted, links, middle, moved), len(points), least=16384
+        )  # fmt: skip
+        points, moved = moved, points
+    return points
+
+
+@njit(cache=True, nogil=True)
+def _relax(points, start, trusted, links, middle, moved, first, last):
+    """One step of some vertices towards their neighbours' mean and their own start, into `moved`."""
+    for v in range(first, last):
         count = 0
         x, y, z = 0.0, 0.0, 0.0
         for n in range(6):
@@ -195,6 +212,7 @@ def _relax(points, start, trusted, links, middle):
                 z += points[u, 2]
                 count += 1
         if count == 0:
+            moved[v] = points[v]
             continue
         pull = TRUST * trusted[v]
         for a in range(3):
@@ -202,17 +220,35 @@ def _relax(points, start, trusted, links, middle):
             goal = pull * start[v, a] + (1 - pull) * mean
             goal = 0.5 * (points[v, a] + goal)
             moved[v, a] = min(max(goal, middle[v, a] - REACH), middle[v, a] + REACH)
-    return moved
 
 
-@njit(cache=True)
-def _triangles(labels, points, around, edges, jitter):
-    """Two triangles across each grid edge, or four around a vertex on it.
+@njit(cache=True, nogil=True)
+def _turns(size, points, around, edges, turns, first, last):
+    """From which of its four vertices the diagonal across each of some grid edges starts, 0 or 1; -1: it has none.
 
     Each vertex lies in its own cube and each edge between two vertices crosses the face between their cubes, so
     what a sheet leaves in a cube is a fan from the vertex to curves on the cube's faces, which cannot cross - if
     each quadrilateral keeps to the four tetrahedra of its grid edge and two neighbouring vertices (Ju and Udeshi
     2006). Two triangles do if their diagonal does; four around a point of the grid edge always do."""
+    strides = (size[1] * size[2], size[2], 1)
+    for n in range(first, last):
+        v, axis = edges[n]
+        ring = around[n]
+        corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
+        longer = 0.0
+        for x in range(3):
+            longer += (points[ring[0], x] - points[ring[2], x]) ** 2 - (points[ring[1], x] - points[ring[3], x]) ** 2
+        turn = 1 if longer > 0 else 0
+        if not _keeps(points, ring, corner, axis, turn):
+            turn = 1 - turn
+            if not _keeps(points, ring, corner, axis, turn):
+                turn = -1
+        turns[n] = turn
+
+
+@njit(cache=True, nogil=True)
+def _triangles(labels, points, around, edges, turns, jitter):
+    """Two triangles across each grid edge, or four around a vertex on it: see `_turns`."""
     flat, size = labels.reshape(-1), labels.shape
     strides = (size[1] * size[2], size[2], 1)
     count = len(points)
@@ -226,16 +262,8 @@ def _triangles(labels, points, around, edges, jitter):
         v, axis = edges[n]
         ring = around[n]
         quads[n] = made
-        corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
-        longer = 0.0
-        for x in range(3):
-            longer += (points[ring[0], x] - points[ring[2], x]) ** 2 - (points[ring[1], x] - points[ring[3], x]) ** 2
-        turn = 1 if longer > 0 else 0
-        kept = _keeps(points, ring, corner, axis, turn)
-        if not kept:
-            turn = 1 - turn
-            kept = _keeps(points, ring, corner, axis, turn)
-        if kept:
+        turn = turns[n]
+        if turn >= 0:
             for half in range(2):
                 triangles[made, 0] = ring[turn + 2 * half]
                 triangles[made, 1] = ring[(turn + 2 * half + 1) % 4]
@@ -243,6 +271,7 @@ def _triangles(labels, points, around, edges, jitter):
                 sides[made, 0], sides[made, 1] = flat[v], flat[v + strides[axis]]
                 made += 1
             continue
+        corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
         height = 0.0
         for c in range(4):
             height += 0.25 * (points[ring[c], axis] - corner[axis])

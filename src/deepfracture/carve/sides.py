@@ -65,7 +65,7 @@ def _names(group: Ints, ends: Ints, nodes: EdgeNodes) -> Ints:
     return names
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _groups(count, edges):
     """The lowest vertex that each vertex hangs together with along edges."""
     parent = np.arange(count)
@@ -78,7 +78,7 @@ def _groups(count, edges):
     return parent
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _uncut(triangles, touched, cut, count):
     """The edges of triangles that no node lies on, shape (e, 2), most of them twice."""
     edges = np.empty((3 * len(triangles), 2), np.int64)
@@ -96,7 +96,7 @@ def _uncut(triangles, touched, cut, count):
     return edges[:made]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _tell(names, groups, first, last):
     """Name the groups at both ends of edges; whether they contradict each other."""
     for n in range(len(groups)):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
 from deepfracture.carve.join import root
+from deepfracture.threads import spread
 from deepfracture.types import Floats, Ints, Mesh
 
 FLAT = 1e-13
@@ -65,8 +66,6 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
     outer, inner = len(faces.outer), len(faces.inner)
     twin = _twins(corners, cell, outer, inner, len(faces.positions))
-    if twin[0] == -2:
-        raise NotGeneral
     shell, first = _shells(twin, len(corners))
     into = _solids_of_shells(faces.positions, corners, cell, shell, first, outer, inner, smallest)
     names = np.unique(into[into >= 0])
@@ -79,12 +78,19 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     joined = np.bincount(solid[goes & (solid >= 0)], minlength=len(names)) > 0
     if joined.any():
         twin = _relinked(twin, goes, outer, inner)
-    fans, points, point_start = _numbered(corners, twin, order, face_start)
+    fans, points, point_end = np.empty((len(order), 3), np.int64), np.empty(3 * len(order), np.int32), names.copy()
+    local = np.full(3 * len(corners), -1, np.int32)
+    spread(
+        lambda first, last: _numbered(
+            corners, twin, order, face_start, local, points, fans, point_end, first, last
+        ),
+        len(names), least=1,
+    )  # fmt: skip
     source = np.where(order < outer, faces.source[np.minimum(order, outer - 1)], -1)
     made, doubles = [], [np.empty((0, 2), np.int64)]
     for n in range(len(names)):
         span = slice(face_start[n], face_start[n + 1])
-        own = points[point_start[n] : point_start[n + 1]]
+        own = points[3 * face_start[n] : point_end[n]]
         if joined[n]:
             doubles.append(own[_doubles(fans[span], len(own))].astype(np.int64))
         made.append(Solid(Mesh(faces.positions[own], fans[span]), source[span]))
@@ -102,7 +108,7 @@ def _doubles(faces: Ints, count: int) -> Ints:
     return np.stack(np.divmod(unique[times > 1], count), axis=1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _all_differ(keys):
     """Whether no key comes twice: by a table with open addresses."""
     size = 16
@@ -147,7 +153,7 @@ def _halves(corners: Ints, keys: Ints, count: int) -> tuple[Ints, Ints]:
     return corners, of
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _half_faces(outer, cell, inner, sides):
     """Corners and cell of each face of each cell: the outer ones, the inner ones as the cell below them has them,
     and as the one above has them. `_mate` leads from one to the other."""
@@ -171,7 +177,7 @@ def _mate(face, outer, inner):
     return face + inner if face < outer + inner else face - inner
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _going(solid, outer, inner):
     """Which faces go: those between two parts of a solid, and flat debris."""
     goes = solid < 0
@@ -181,7 +187,7 @@ def _going(solid, outer, inner):
     return goes
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sorted(solid, goes, count):
     """The faces that stay, solid by solid, and where each starts."""
     start = np.zeros(count + 1, np.int64)
@@ -198,13 +204,25 @@ def _sorted(solid, goes, count):
     return order, start
 
 
-@njit(cache=True)
-def _twins(corners, cell, outer, inner, count):
+def _twins(corners: NDArray, cell: NDArray, outer: int, inner: int, count: int) -> NDArray:
     """For the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
-    surface. The first is -2 if some edge has none or several.
+    surface. Raises NotGeneral if some edge has none or several.
 
     Edges are sorted by their lower point. Both sides of a crack's face have the same edges: one is enough."""
-    faces = outer + inner
+    start, bucket, far = _sorted_edges(corners, outer + inner, count)
+    twin = np.full(3 * len(corners), -1, np.int32)
+    fine = spread(
+        lambda first, last: _paired(corners, cell, outer, inner, start, bucket, far, twin, first, last),
+        count, least=16384,
+    )  # fmt: skip
+    if not all(fine):
+        raise NotGeneral
+    return twin
+
+
+@njit(cache=True, nogil=True)
+def _sorted_edges(corners, faces, count):
+    """Where the edges at each lower point start, and they and their higher points."""
     start = np.zeros(count + 1, np.int32)
     for f in range(faces):
         a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
@@ -221,8 +239,13 @@ def _twins(corners, cell, outer, inner, count):
             low = min(a, b)
             bucket[place[low]], far[place[low]] = 3 * f + n, max(a, b)
             place[low] += 1
-    twin = np.full(3 * len(corners), -1, np.int32)
-    for v in range(count):
+    return start, bucket, far
+
+
+@njit(cache=True, nogil=True)
+def _paired(corners, cell, outer, inner, start, bucket, far, twin, from_point, to_point):
+    """Twins among the edges at some lower points; False if some edge has none or several."""
+    for v in range(from_point, to_point):
         first, last = start[v], start[v + 1]
         crowded = last - first > CROWD
         if crowded:
@@ -249,9 +272,8 @@ def _twins(corners, cell, outer, inner, count):
                         found = 2
                     twin[own], twin[other] = other, own
                 if found != 1:
-                    twin[0] = -2
-                    return twin
-    return twin
+                    return False
+    return True
 
 
 @njit(cache=True, inline="always")
@@ -261,7 +283,7 @@ def _behind(edge, outer, inner):
     return 3 * mate + 2 - edge % 3 if mate >= 0 else -1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _shells(twin, count):
     """Number 0.. of the connected surface that each face belongs to, and the first face of each."""
     parent = np.arange(count).astype(np.int32)
@@ -314,7 +336,7 @@ def _solids_of_shells(
     return _join_dust(into, whole, shared, np.flatnonzero(small).tolist(), smallest, flat)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _touching(positions, corners, into, shell, small, outer, inner):
     """Faces between a small solid and another: both shells as one number, the lower first, and the area."""
     pairs, area = np.empty(inner, np.int64), np.empty(inner)
@@ -331,7 +353,7 @@ def _touching(positions, corners, into, shell, small, outer, inner):
     return pairs[:count], area[:count]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _volumes(positions, corners, shell, count):
     """Signed volume of each shell, by tetrahedra from a vertex of it."""
     volumes, pivot = np.zeros(count), np.full(count, -1, np.int64)
@@ -398,7 +420,7 @@ def _join_dust(
     return ends[into]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _relinked(twin, goes, outer, inner):
     """Twins across the faces that go: the faces behind both sides of one meet."""
     linked = twin.copy()
@@ -412,16 +434,14 @@ def _relinked(twin, goes, outer, inner):
     return linked
 
 
-@njit(cache=True)
-def _numbered(corners, twin, order, face_start):
-    """Corners of the sorted faces by their solid's own vertices, one for each fan of faces around a point; the
-    points of these; and where each solid's start."""
-    local = np.full(3 * len(corners), -1, np.int32)
-    points, faces = np.empty(3 * len(order), np.int32), np.empty((len(order), 3), np.int64)
-    point_start = np.zeros(len(face_start), np.int64)
-    used = 0
-    for own in range(len(face_start) - 1):
-        base = used
+@njit(cache=True, nogil=True)
+def _numbered(corners, twin, order, face_start, local, points, faces, point_end, first, last):
+    """Corners of the sorted faces of some solids by the solid's own vertices, one for each fan of faces around a point.
+
+    Writes `faces`; the points of a solid's vertices from three times its first face on, into `points`, and where they
+    end. `local`: scratch, -1 everywhere, one for each corner."""
+    for own in range(first, last):
+        base = used = 3 * face_start[own]
         for f in range(face_start[own], face_start[own + 1]):
             for n in range(3):
                 corner = 3 * order[f] + n
@@ -431,8 +451,7 @@ def _numbered(corners, twin, order, face_start):
                     while local[at] < 0:
                         local[at] = used - base
                         back = twin[at]
-                        at = back - back % 3 + (back % 3 + 1) % 3
+                        at = back - 2 if back % 3 == 2 else back + 1
                     used += 1
                 faces[f, n] = local[corner]
-        point_start[own + 1] = used
-    return faces, points[:used], point_start
+        point_end[own] = used

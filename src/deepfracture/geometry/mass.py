@@ -42,7 +42,7 @@ def mass_properties(mesh: Mesh, density: float) -> MassProperties:
     return MassProperties(volume, density * volume, centre + pivot, (inertia + inertia.T) / 2)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _moments(vertices: Floats, faces: Ints, pivot: Floats):  # pragma: no cover
     """Volume and the integrals of x and x x^T about the pivot.
 

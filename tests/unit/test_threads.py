@@ -1,0 +1,89 @@
+"""Work shared by threads: in order, failures and all, also where nobody helps."""
+
+import multiprocessing
+import threading
+
+import numpy as np
+import pytest
+
+from deepfracture import threads
+from deepfracture.carve import cut
+from deepfracture.geometry import builtin, signed_distance
+from deepfracture.threads import spread, together
+from deepfracture.types import FracturePattern, Grid
+
+
+@pytest.fixture(autouse=True)
+def three_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "thread_count", lambda: 3)
+
+
+def span(first: int, last: int) -> list[int]:
+    return list(range(first, last))
+
+
+@pytest.mark.parametrize(("count", "least"), [(0, 1), (1, 1), (7, 1), (1000, 10), (10, 100)])
+def test_parts_are_consecutive_and_in_order(count: int, least: int) -> None:
+    parts = spread(span, count, least=least)
+    assert sum(parts, []) == list(range(count))
+    assert count < 2 * least or len(parts) > 1
+
+
+def test_several_threads_take_part() -> None:
+    meet = threading.Barrier(2, timeout=10)
+
+    def job() -> str:
+        meet.wait()  # only two threads at once get past this
+        return threading.current_thread().name
+
+    one, other = together(job, job)
+    assert one != other
+
+
+def test_a_failure_in_any_part_comes_out() -> None:
+    for bad in range(9):
+
+        def job(first: int, last: int, bad: int = bad) -> None:
+            if first == bad:
+                raise ArithmeticError(f"part {bad}")
+
+        with pytest.raises(ArithmeticError, match=f"part {bad}"):
+            spread(job, 9, least=1)
+    assert sum(spread(span, 9, least=1), []) == list(range(9))  # and the threads are still there
+
+
+def test_shared_work_inside_shared_work_does_not_wait_for_itself() -> None:
+    parts = spread(lambda first, last: sum(spread(span, last - first, least=1), []), 9, least=1)
+    assert [len(part) for part in parts] == [1] * 9
+
+
+def _forked(queue: "multiprocessing.Queue") -> None:
+    queue.put(sum(spread(span, 9, least=1), []))
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    spread(span, 9, least=1)
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=_forked, args=(queue,))
+    child.start()
+    assert queue.get(timeout=30) == list(range(9))
+    child.join()
+
+
+def test_a_cut_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    shape, grid = builtin("pot"), Grid(64)
+    inside = signed_distance(shape.mesh, grid) > 0
+    seeds = np.random.default_rng(0).uniform(-1, 1, (30, 3))
+    nearest = ((grid.centres()[..., None, :] - seeds) ** 2).sum(axis=-1).argmin(axis=-1) + 1
+    pattern = FracturePattern(grid, np.where(inside, nearest, 0), np.zeros(grid.shape))
+    shared = cut(shape, pattern, density=1000.0)
+    monkeypatch.setattr(threads, "thread_count", lambda: 1)
+    alone = cut(shape, pattern, density=1000.0)
+    assert len(shared) == len(alone) > 20
+    for one, other in zip(shared, alone, strict=True):
+        np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
+        np.testing.assert_array_equal(one.mesh.faces, other.mesh.faces)
+        np.testing.assert_array_equal(one.source, other.source)
+        assert one.mass == other.mass
