@@ -60,7 +60,7 @@ def test_a_round_piece_keeps_its_roundness() -> None:
     (hull,) = piece_hulls([Mesh(ball.vertices, ball.faces)])
     (points,) = hull.points
     faces = ConvexHull(points).equations
-    assert -faces[:, 3].max() > 0.475  # every face of the hull is that far out
+    assert -faces[:, 3].max() > 0.49  # every face of the hull is that far out
 
 
 def test_pieces_that_lie_in_each_other_do_not_collide_at_birth() -> None:

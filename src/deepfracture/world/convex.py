@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepfracture.types import Floats, Ints
 
-CORNERS = 128
+CORNERS = 448
 """Most corners of a hull."""
 SAMPLE = 300
 """About as many points say where the hull begins."""
@@ -92,14 +92,15 @@ def hull(points, sag):
     waits = len(extremes)
     waiting[:waits] = extremes
     count = _grow(points, corner, faces, fresh, 4, ahead, waiting, waits, 4, sag)
-    made = 0
-    for k in range(faces.ends[0]):
-        if faces.alive[k]:
-            fresh[made] = k
-            made += 1
-    rest = _outside(points, faces.planes[fresh[:made]], sag)  # few: most points lie inside the hull of the extreme ones
-    waiting[: len(rest)] = rest
-    _grow(points, corner, faces, fresh, made, ahead, waiting, len(rest), count, sag)
+    for stride in (1 + len(points) // SAMPLE, 1):  # what a hull of some hundreds leaves outside is little
+        made = 0
+        for k in range(faces.ends[0]):
+            if faces.alive[k]:
+                fresh[made] = k
+                made += 1
+        rest = _outside(points[::stride], faces.planes[fresh[:made]], sag) * stride
+        waiting[: len(rest)] = rest
+        count = _grow(points, corner, faces, fresh, made, ahead, waiting, len(rest), count, sag)
     triangles = np.empty((faces.alive.sum(), 3, 3))
     m = 0
     for k in range(faces.ends[0]):

@@ -12,7 +12,9 @@ from numba import njit
 from deepfracture.world.convex import clip, corners, hull, put, volume
 
 CELLS = 16
-"""Planes are planned on a fragment thinned to about this many vertices along its longest side."""
+"""Planes are planned on a fragment thinned to about this many vertices along its longest side ..."""
+ROUGH = 0.005
+"""... with hulls out of which this share of that side may stand."""
 
 
 @njit(cache=True, nogil=True)
@@ -30,10 +32,11 @@ def parts(vertices, faces, most, tolerance, sag, shrink, gap):
         mesh [m^3])
     """
     total = _volume(vertices, faces)
-    few, thin = _thinned(vertices, faces)
+    few, thin, size = _thinned(vertices, faces)
+    rough = max(sag, ROUGH * size)
     soups, skins = [_soup(few, thin)], [np.ones(len(thin), np.bool_)]
     rims = [np.empty((0, 3))]  # where planes have cut the skin of each part
-    hulls = [hull(few, sag)]
+    hulls = [hull(few, rough)]
     air = [volume(hulls[0]) - total]
     of, home = np.zeros(len(few), np.int64), np.zeros(len(vertices), np.int64)  # part of each vertex
     filled = volume(hulls[0])
@@ -54,8 +57,8 @@ def parts(vertices, faces, most, tolerance, sag, shrink, gap):
         rims.append(np.concatenate((rims[worst][~old], rim)))
         rims[worst] = np.concatenate((rims[worst][old], rim))
         filled -= volume(hulls[worst])
-        hulls[worst] = _cover(few, of, worst, rims[worst], sag)
-        hulls.append(_cover(few, of, new, rims[new], sag))
+        hulls[worst] = _cover(few, of, worst, rims[worst], rough)
+        hulls.append(_cover(few, of, new, rims[new], rough))
         filled += volume(hulls[worst]) + volume(hulls[new])
         soups[worst], skins[worst] = below
         soups.append(above[0])
@@ -138,7 +141,8 @@ def _middle(triangles):
 
 @njit(cache=True, nogil=True)
 def _thinned(vertices, faces):
-    """Vertices merged by the cells of a grid: (the outermost of each, faces). A closed cycle stays one."""
+    """Vertices merged by the cells of a grid: (the outermost of each, faces, longest side [m]). A closed cycle stays
+    one."""
     low, high = vertices[0].copy(), vertices[0].copy()
     for i in range(len(vertices)):
         for k in range(3):
@@ -170,7 +174,7 @@ def _thinned(vertices, faces):
         if a != b and b != c and c != a:
             thin[m, 0], thin[m, 1], thin[m, 2] = a, b, c
             m += 1
-    return vertices[outermost[:count]], thin[:m]
+    return vertices[outermost[:count]], thin[:m], side * CELLS
 
 
 @njit(cache=True, nogil=True)
