@@ -151,6 +151,10 @@ class Shape:
         """Body-frame points in the coordinates of the user's file."""
         return np.asarray(points, float) * self.scale + self.centre
 
+    def to_body(self, points: ArrayLike) -> Floats:
+        """Points of the user's file in the body frame: the inverse of `to_user`."""
+        return (np.asarray(points, float) - self.centre) / self.scale
+
 
 @dataclass(frozen=True)
 class Material:
@@ -355,6 +359,32 @@ class Breaker(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Rigid:
+    """What another engine needs to take a body over from a recording, at any of its n frames."""
+
+    mass: float
+    """[kg]"""
+    centre: Floats
+    """Centre of mass in the mesh frame [m], shape (3,)."""
+    inertia: Floats
+    """About the centre of mass, axes of the mesh frame [kg m^2], shape (3, 3)."""
+    velocities: Floats
+    """Of the centre of mass in the world [m/s], shape (n, 3)."""
+    spins: Floats
+    """Angular velocities in the world [rad/s], shape (n, 3)."""
+    hulls: tuple[Floats, ...] = ()
+    """Convex parts that stand for it in collisions: points in the mesh frame, each (k, 3); none for a ball."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", _array("centre", self.centre, float, (3,)))
+        object.__setattr__(self, "inertia", _array("inertia", self.inertia, float, (3, 3)))
+        object.__setattr__(self, "velocities", _array("velocities", self.velocities, float, (None, 3)))
+        object.__setattr__(self, "spins", _array("spins", self.spins, float, (len(self.velocities), 3)))
+        if not self.mass > 0:
+            raise BadInput(f"mass must be positive, got {self.mass}")
+
+
+@dataclass(frozen=True, eq=False)
 class Track:
     """One body of a recording: its mesh and where it was while it existed."""
 
@@ -373,9 +403,13 @@ class Track:
     """Rotation world_from_body, shape (n, 4)."""
     whole: Shape | None = None
     """The shape that it is, or, for fragments, that `source` refers to: it knows how the surface looks."""
+    rigid: Rigid | None = None
+    """None: it stays where it is, or nobody knows its mass."""
 
     def __post_init__(self) -> None:
         n = len(self.positions)
+        if self.rigid is not None and len(self.rigid.velocities) != n:
+            raise BadInput(f"velocities must be those of the track's {n} frames, got {len(self.rigid.velocities)}")
         object.__setattr__(self, "positions", _array("positions", self.positions, float, (n, 3)))
         object.__setattr__(self, "quats_wxyz", _array("quats_wxyz", self.quats_wxyz, float, (n, 4)))
         if self.kind not in ("shape", "fragment", "ball", "floor", "block"):

@@ -4,54 +4,50 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.breakers import make_breaker
-from deepfracture.export import before_hit_after, write_film, write_fragments, write_glb
+from deepfracture.breakers import AGAIN, make_breaker
+from deepfracture.cli.formats import check_formats, write_formats
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import faults, load_shape
 from deepfracture.progress import Stage, collect_stages, log, stage
 from deepfracture.types import BadInput, Breaker, Fragments, Grid, Impact, Material, Shape
-from deepfracture.viewer import write_page
-from deepfracture.world import Outcome, Scene, load_scene, save_scene, throw_scene
+from deepfracture.world import UPRIGHT, Outcome, Scene, load_scene, save_scene, throw_scene
 from deepfracture.world import simulate as run_world
 
 if TYPE_CHECKING:
     from .main import Throw
 
-AGAIN = ("learned", "physical", "voronoi")
-"""Breakers that know what becomes of a fragment that is hit again."""
-UPRIGHT = {"z": (1.0, 0.0, 0.0, 0.0), "y": (0.5**0.5, 0.5**0.5, 0.0, 0.0), "x": (0.5**0.5, 0.0, -(0.5**0.5), 0.0)}
-"""Rotation (w, x, y, z) that turns this axis of the file to the world's z."""
-
 
 def shatter(
     name: str, *, breaker: str, out: Path, material: str, throw: Throw, scene: Path | None, model: Path | None,
-    dataset: Path | None, resolution: int, roughness: float, engine: str, seed: int, repair: bool, film: bool,
+    dataset: Path | None, resolution: int, roughness: float, engine: str, seed: int | None, repair: bool, film: bool,
+    formats: tuple[str, ...] | None = None,
 ) -> None:  # fmt: skip
-    """Break the shape `name` (or replay `scene`) and write everything into the folder `out`."""
+    """Break the shape `name` (or replay `scene`) and write `formats`, or the usual ones, into the folder `out`."""
+    check_formats(formats or ())
     with collect_stages() as stages:
-        rng = np.random.default_rng(seed)
         with stage("load"):
             if scene is None:
                 shape = load_shape(name, repair=repair)
-                played = _throw(name, shape, throw, material, engine, seed)
+                played = _throw(name, shape, throw, material, engine, seed or 0)
                 shapes = [shape]
             else:
                 played = load_scene(scene)
-                shapes = [load_shape(placed.shape, repair=repair) for placed in played.shapes]
+                played = played if seed is None else replace(played, seed=seed)
+                shapes = [load_shape(placed.shape, repair=repair or placed.repair) for placed in played.shapes]
         with stage("load breakers"):
             chosen = played.breaker or breaker
             seam, materials = _breakers(chosen, played, shapes, Grid(resolution), model, dataset, roughness)
         with stage("world, with the break"):
+            rng = np.random.default_rng(played.seed)
             outcome = run_world(played, shapes, seam, rng, materials=materials)
-        files = _write(outcome, played, out, stages, film=film)
+        files = _write(outcome, played, out, formats, film=film)
     made_of = {id(shape): materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
     report = _report(outcome, played, made_of, chosen, stages, files)
     path = out / "report.json"
@@ -102,30 +98,13 @@ def _breakers(
     return breaker, materials
 
 
-def _write(outcome: Outcome, scene: Scene, out: Path, stages: list[Stage], *, film: bool) -> list[str]:
-    """Everything but the report; returns the names of what was written, the page first."""
+def _write(outcome: Outcome, scene: Scene, out: Path, formats: tuple[str, ...] | None, *, film: bool) -> list[str]:
+    """Everything but the report; returns the names of what was written."""
     out.mkdir(parents=True, exist_ok=True)
-    recording = outcome.recording
-    jobs: list[tuple[str, Callable[[Path], object]]] = [
-        ("animation.html", lambda path: write_page(recording, path)),
-        ("animation.glb", lambda path: write_glb(recording, path)),
-        ("picture.png", lambda path: before_hit_after(recording, path)),
-        ("scene.toml", lambda path: save_scene(_portable(scene, out), path)),
-    ]
-    if film:
-        jobs.append(("animation.mp4", lambda path: write_film(recording, path)))
-    files = []
-    for file, job in jobs:
-        with stage(f"write {file}"):
-            job(out / file)
-        files.append(file)
-    for number, collision in enumerate(outcome.breaks):
-        folder = "fragments" if len(outcome.breaks) == 1 else f"fragments_{number}"
-        with stage(f"write {folder}"):
-            assert collision.fragments is not None
-            write_fragments(collision.fragments, collision.shape, out / folder)
-        files.append(folder)
-    return files
+    files = write_formats(outcome, scene, out, formats, film=film)
+    with stage("write scene.toml"):
+        save_scene(_portable(scene, out), out / "scene.toml")
+    return [*files, "scene.toml"]
 
 
 def _portable(scene: Scene, out: Path) -> Scene:

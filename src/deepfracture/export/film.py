@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from ..extras import need
+from ..progress import track
 from ..types import Recording
 from .camera import frame_action
 from .files import replacing
@@ -29,12 +31,24 @@ def write_film(
     """Write the whole recording in real time; returns the number of pictures.
 
     The pictures come from our own rasteriser, so no graphics driver is needed; the encoder is the
-    ffmpeg that imageio-ffmpeg ships. RuntimeError when there is none for this machine."""
-    import imageio_ffmpeg
-
+    ffmpeg that imageio-ffmpeg ships. BadInput without that library, RuntimeError when it has none for this machine."""
     frames = film_frames(recording, rate)
     camera = frame_action(recording, size[0] / size[1])
     studio = RecordingStudio(recording, camera, size=size, samples=SAMPLES)
+    pictures = track(in_threads(studio.picture, frames), name="film", total=len(frames))
+    return write_pictures(pictures, path, size=size, rate=rate)
+
+
+def write_pictures(
+    pictures: Iterable[NDArray[np.uint8]], path: str | os.PathLike, *, size: tuple[int, int], rate: int = FILM_RATE
+) -> int:
+    """Write RGB pictures, each (h, w, 3), as a film of one shot after the other; returns their number.
+
+    `size` is width and height [pixel], multiples of 16. Errors as in `write_film`."""
+    need("imageio_ffmpeg", extra="render", to="write a film")
+    import imageio_ffmpeg
+
+    count = 0
     with replacing(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
@@ -46,10 +60,13 @@ def write_film(
             ffmpeg_log_level="error",
         )
         writer.send(None)
-        for picture in in_threads(studio.picture, frames):
-            writer.send(picture)
-        writer.close()
-    return len(frames)
+        try:
+            for picture in pictures:
+                writer.send(picture)
+                count += 1
+        finally:
+            writer.close()  # also where a picture fails: else the encoder would write on after its file is gone
+    return count
 
 
 def film_frames(recording: Recording, rate: int) -> list[int]:

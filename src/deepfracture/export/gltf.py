@@ -9,28 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
-from ..types import Recording, Track
+from ..types import Floats, Recording, Track
 from .files import replacing
-from .motion import continuous, keys, quat_of
-from .surface import Surface, track_surfaces
+from .motion import continuous, keys, pivot, pivot_positions, quat_of, shortest_turn, similarity
+from .names import body_names
+from .surface import METALLIC, ROUGHNESS, Surface, linear, track_surfaces
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
 FLOAT, UINT32, UINT16 = 5126, 5125, 5123
 REPEAT = 10497
+Y_UP = np.array([0.0, 1.0, 0.0])
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
-ROUGHNESS = {"outer": 0.75, "inner": 0.95, "ball": 0.35, "floor": 0.9, "block": 0.8}
 
 
 def write_glb(recording: Recording, path: str | os.PathLike) -> None:
     """Write every body as an animated node, in the user's coordinates turned y-up.
 
-    One node a body (fragments: fragment_000 ...), translation and rotation sampled at the
+    One node a body (fragments: fragment_000 ...) about its centre of mass, translation and rotation sampled at the
     recording's frames; a body that does not exist yet, or no longer, has scale 0, which
     glTF 2.0 (section 3.5.3) lets a renderer skip. A primitive for each material of the user's
     file, and one for the crack surface: its material is called "inner", and its texture
-    coordinates are metres. The same recording gives the same bytes.
+    coordinates are metres. Nodes have `extras`: their kind, where known their mass [kg], and as `rest` where their
+    origin was in the user's unbroken shape; those of the asset are its frame rate and number of frames. The same
+    recording gives the same bytes.
     """
     data = _Builder(recording).bytes()
     with replacing(path) as temporary:
@@ -54,7 +57,9 @@ class _Builder:
         import pygltflib as g
 
         self.g, self.recording = g, recording
-        self.doc: GLTF2 = g.GLTF2(asset=g.Asset(version="2.0", generator=f"deepfracture {__version__}"))
+        timing = {"frame_rate": round(1 / recording.frame_time, 6), "frames": recording.frames}
+        asset = g.Asset(version="2.0", generator=f"deepfracture {__version__}", extras=timing)
+        self.doc: GLTF2 = g.GLTF2(asset=asset)
         self.blob = bytearray()
         self.accessors: dict[tuple, int] = {}
         self.materials: dict[tuple, int] = {}
@@ -64,14 +69,9 @@ class _Builder:
 
     def bytes(self) -> bytes:
         g, doc = self.g, self.doc
-        fragment = 0
-        for track in self.recording.tracks:
-            if not len(track.positions):
-                continue  # it broke before the first frame
-            name = track.name
-            if track.kind == "fragment":
-                name, fragment = f"fragment_{fragment:03d}", fragment + 1
-            self.body(track, name)
+        for track, name in zip(self.recording.tracks, body_names(self.recording), strict=True):
+            if len(track.positions):  # else it broke before the first frame
+                self.body(track, name)
         bodies = list(range(len(doc.nodes)))
         self.roots(bodies)
         if self.channels:
@@ -86,19 +86,17 @@ class _Builder:
 
     def roots(self, bodies: list[int]) -> None:
         """y-up <- user (a rotation), user <- world (the recording's similarity)."""
-        user = self.recording.user_from_world
-        scale = float(np.cbrt(np.linalg.det(user[:3, :3])))
-        turn = user[:3, :3] / scale
+        scale, turn, shift = similarity(self.recording)
         self.doc.nodes.append(
             self.g.Node(
                 name="user_from_world",
                 children=bodies,
-                translation=[float(v) for v in user[:3, 3]],
+                translation=[float(v) for v in shift],
                 rotation=_xyzw(quat_of(turn)),
                 scale=[scale] * 3,
             )
         )
-        root = self.g.Node(name="y_up", children=[len(bodies)], rotation=_xyzw(_y_up_from(turn[:, 2])))
+        root = self.g.Node(name="y_up", children=[len(bodies)], rotation=_xyzw(shortest_turn(turn[:, 2], Y_UP)))
         self.doc.nodes.append(root)
         self.doc.scenes = [self.g.Scene(name="deepfracture", nodes=[len(bodies) + 1])]
         self.doc.scene = 0
@@ -106,19 +104,20 @@ class _Builder:
     def body(self, track: Track, name: str) -> None:
         """Its mesh, its node and its channels."""
         g, node = self.g, len(self.doc.nodes)
-        primitives = [self.primitive(surface) for surface in track_surfaces(track)]
+        primitives = [self.primitive(surface, pivot(track)) for surface in track_surfaces(track)]
         self.doc.meshes.append(g.Mesh(name=name, primitives=primitives))
-        quats = continuous(track.quats_wxyz)
+        places, quats = pivot_positions(track), continuous(track.quats_wxyz)
         self.doc.nodes.append(
             g.Node(
                 name=name,
+                extras=_extras(track),
                 mesh=len(self.doc.meshes) - 1,
-                translation=[float(v) for v in track.positions[0]],
+                translation=[float(v) for v in places[0]],
                 rotation=_xyzw(quats[0]),
                 scale=[1.0 if track.start == 0 else 0.0] * 3,
             )
         )
-        self.channel(node, "translation", track.positions, track.start)
+        self.channel(node, "translation", places, track.start)
         self.channel(node, "rotation", quats[:, [1, 2, 3, 0]], track.start)
         self.visibility(node, track)
 
@@ -146,9 +145,10 @@ class _Builder:
         which = g.AnimationChannelTarget(node=node, path=target)
         self.channels.append(g.AnimationChannel(sampler=len(self.samplers) - 1, target=which))
 
-    def primitive(self, surface: Surface) -> Any:
+    def primitive(self, surface: Surface, pivot: Floats | None = None) -> Any:
         g = self.g
-        position = self.accessor(surface.vertices, "VEC3", FLOAT, VERTEX_BUFFER, bounds=True)
+        places = surface.vertices if pivot is None else (surface.vertices - pivot).astype(np.float32)
+        position = self.accessor(places, "VEC3", FLOAT, VERTEX_BUFFER, bounds=True)
         normal = self.accessor(surface.normals, "VEC3", FLOAT, VERTEX_BUFFER)
         index = self.accessor(surface.faces.ravel().astype(np.uint32), "SCALAR", UINT32, INDEX_BUFFER)
         attributes = g.Attributes(POSITION=position, NORMAL=normal)
@@ -165,10 +165,10 @@ class _Builder:
         g, texture = self.g, surface.finish.texture if surface.uv is not None else None
         key = (surface.look, surface.name, surface.base, texture)
         if key not in self.materials:
-            linear = [float(_linear(c / 255)) for c in surface.base]
+            base = [round(float(linear(c / 255)), 4) for c in surface.base]
             shading = g.PbrMetallicRoughness(
-                baseColorFactor=[round(c, 4) for c in linear] + [1.0],
-                metallicFactor=0.6 if surface.look == "ball" else 0.0,
+                baseColorFactor=[*base, 1.0],
+                metallicFactor=METALLIC.get(surface.look, 0.0),
                 roughnessFactor=ROUGHNESS[surface.look],
             )
             if texture is not None:
@@ -223,26 +223,22 @@ class _Builder:
         return self.accessors[key]
 
 
-def _linear(value: Any) -> Any:
-    """Linear light 0..1 of sRGB 0..1 (IEC 61966-2-1)."""
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
 def _light(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Colours (n, 4) as the linear light that glTF wants; eight bits would band in the shadows."""
     values = colours / 255
-    values[:, :3] = _linear(values[:, :3])
+    values[:, :3] = linear(values[:, :3])
     return np.rint(65535 * values).astype(np.uint16)
+
+
+def _extras(track: Track) -> dict[str, Any]:
+    """What a node says of its body."""
+    extras: dict[str, Any] = {"kind": track.kind}
+    if track.rigid is not None:
+        extras["mass"] = track.rigid.mass
+    if track.whole is not None:
+        extras["rest"] = track.whole.to_user(pivot(track)).tolist()
+    return extras
 
 
 def _xyzw(quat_wxyz: NDArray) -> list[float]:
     return [float(v) for v in np.asarray(quat_wxyz)[[1, 2, 3, 0]]]
-
-
-def _y_up_from(up: NDArray) -> NDArray:
-    """Shortest rotation (w, x, y, z) that takes the user's `up` to glTF's +y."""
-    axis, cosine = np.cross(up, (0.0, 1.0, 0.0)), up[1]
-    if cosine < -1 + 1e-9:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    quat = np.array([1 + cosine, *axis])
-    return quat / np.linalg.norm(quat)

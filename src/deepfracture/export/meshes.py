@@ -67,7 +67,7 @@ def _face_colours(look: Appearance) -> NDArray[np.uint8]:
     for k, finish in enumerate(look.finishes):
         own = look.finish == k
         if finish.texture is not None and look.uv is not None:
-            tint[own, :3] *= _texels(finish.texture, look.uv[own].mean(axis=1)) / 255
+            tint[own, :3] *= texels(finish.texture, look.uv[own].mean(axis=1)) / 255
         elif finish.colour is not None:
             tint[own, :3] *= np.array(finish.colour) / 255
         elif look.colours is None:
@@ -75,7 +75,7 @@ def _face_colours(look: Appearance) -> NDArray[np.uint8]:
     return np.rint(tint).astype(np.uint8)
 
 
-def _texels(texture: bytes, uv: NDArray) -> Floats:
+def texels(texture: bytes, uv: NDArray) -> Floats:
     """sRGB of a texture, which repeats, at uv (n, 2), shape (n, 3)."""
     rows = _decoded(texture)
     height, width = rows.shape[:2]

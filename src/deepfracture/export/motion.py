@@ -23,11 +23,11 @@ def rotation_matrices(quats_wxyz: Floats) -> Floats:
 
 
 def quat_of(matrix: Floats) -> Floats:
-    """Quaternion (w, x, y, z) of one rotation matrix, w >= 0."""
+    """Quaternions (..., 4), w, x, y, z, w >= 0, of rotation matrices (..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = Rotation.from_matrix(matrix).as_quat()
-    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
+    quats = np.roll(Rotation.from_matrix(matrix).as_quat(), 1, axis=-1)
+    return np.where(quats[..., :1] < 0, -quats, quats)
 
 
 def exists(track: Track, frame: int) -> bool:
@@ -78,3 +78,32 @@ def keys(values: NDArray, tolerance: float = KEY_TOL) -> Ints:
     if last and (len(kept) > 1 or np.abs(values[last] - values[0]).max() > tolerance):
         kept.append(last)
     return np.array(kept)
+
+
+def similarity(recording: Recording) -> tuple[float, Floats, Floats]:
+    """Scale, rotation (3, 3) and shift (3,) that lead from the world to the user's coordinates."""
+    user = recording.user_from_world
+    scale = float(np.cbrt(np.linalg.det(user[:3, :3])))
+    return scale, user[:3, :3] / scale, user[:3, 3]
+
+
+def shortest_turn(start: NDArray, end: NDArray) -> Floats:
+    """Shortest rotation (w, x, y, z) that takes one unit vector to another; opposite ones by way of z or x."""
+    axis, cosine = np.cross(start, end), start @ end
+    if cosine < -1 + 1e-9:
+        axis = np.cross(end, (0.0, 0.0, 1.0) if abs(end[2]) < 0.9 else (1.0, 0.0, 0.0))
+        return np.array([0.0, *(axis / np.linalg.norm(axis))])
+    quat = np.array([1 + cosine, *axis])
+    return quat / np.linalg.norm(quat)
+
+
+def pivot(track: Track) -> Floats:
+    """The point of the mesh frame about which a body turns, shape (3,): its centre of mass, where that is known.
+
+    Programs draw straight lines between the frames of a pivot, as the centre of mass of a flying body does."""
+    return np.zeros(3) if track.rigid is None else track.rigid.centre
+
+
+def pivot_positions(track: Track) -> Floats:
+    """Where the pivot is in the world, shape (n, 3)."""
+    return track.positions + rotation_matrices(continuous(track.quats_wxyz)) @ pivot(track)

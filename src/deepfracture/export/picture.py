@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..types import Fragments, Recording, Shape
-from .camera import frame_action, frame_points
+from .camera import ELEVATION, frame_action, frame_points
 from .files import replacing
 from .film import in_threads
 from .motion import break_frame
@@ -33,17 +33,18 @@ def exploded(
     factor: float = 0.5,
     size: tuple[int, int] = (800, 600),
     azimuth: float = -60.0,
+    elevation: float = ELEVATION,
 ) -> None:
     """A PNG of the fragments, each moved away from the middle by `factor` times its distance.
 
-    shape: what broke; with it the fragments keep its paint."""
+    shape: what broke; with it the fragments keep its paint. azimuth, elevation: where it is seen from [degrees]."""
     centres = np.array([piece.centre for piece in fragments])
     masses = np.array([piece.mass for piece in fragments])
     middle = masses @ centres / masses.sum()
     offsets = factor * (centres - middle)
     moved = [piece.mesh.vertices + offset for piece, offset in zip(fragments, offsets, strict=True)]
     points = np.concatenate(moved)
-    camera = frame_points(points, size[0] / size[1], azimuth=azimuth)
+    camera = frame_points(points, size[0] / size[1], azimuth=azimuth, elevation=elevation)
     studio = Studio(
         [Prop(surfaces(piece.mesh, piece.source, whole=shape)) for piece in fragments],
         camera,

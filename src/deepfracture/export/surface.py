@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..geometry.appearance import INNER, interpolated, planar_uv
 from ..types import Appearance, Finish, Floats, Floats32, Ints, Mesh, Shape, Track
@@ -16,6 +16,9 @@ OUTER_CREASE = 40.0
 INNER_CREASE = 25.0
 """The same on crack surfaces, which look rough."""
 
+ROUGHNESS = {"outer": 0.75, "inner": 0.95, "ball": 0.35, "floor": 0.9, "block": 0.8}
+METALLIC = {"ball": 0.6}
+"""Of materials that know both; what is not named is no metal."""
 COLOURS: dict[str, tuple[int, int, int]] = {
     "outer": (189, 94, 61),  # terracotta
     "inner": INNER.colour or (255, 255, 255),
@@ -43,6 +46,8 @@ class Surface:
     """Unit normals of the vertices, shape (n, 3)."""
     faces: Ints
     """Shape (m, 3)."""
+    origin: Ints
+    """The vertex of the mesh that each vertex is, shape (n,)."""
     uv: Floats32 | None = None
     """Texture coordinates of the vertices, v upward, shape (n, 2)."""
     colours: NDArray[np.uint8] | None = None
@@ -76,6 +81,12 @@ def surfaces(
     if not cracked.any():
         return outer
     return (*outer, _stone(mesh, cracked))
+
+
+def linear(value: ArrayLike) -> Floats:
+    """Linear light 0..1 of sRGB 0..1 (IEC 61966-2-1)."""
+    value = np.asarray(value, float)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def track_surfaces(track: Track) -> tuple[Surface, ...]:
@@ -121,6 +132,7 @@ def _painted(mesh: Mesh, faces: Ints, look: str, paint: Appearance, own: Ints, f
         mesh.vertices[faces.ravel()[first]].astype(np.float32),
         normals[first],
         vertex.reshape(-1, 3),
+        faces.ravel()[first],
         None if uv is None else uv[first],
         None if colours is None else colours[first],
         finish,
@@ -134,7 +146,7 @@ def _stone(mesh: Mesh, cracked: NDArray[np.bool_]) -> Surface:
     first, vertex = _alike([surface.faces.reshape(-1, 1), uv])
     old = surface.faces.ravel()[first]
     vertices, normals = surface.vertices[old], surface.normals[old]
-    return Surface("inner", vertices, normals, vertex.reshape(-1, 3), uv[first], finish=INNER)
+    return Surface("inner", vertices, normals, vertex.reshape(-1, 3), surface.origin[old], uv[first], finish=INNER)
 
 
 def _alike(columns: list[NDArray]) -> tuple[Ints, Ints]:
@@ -164,6 +176,7 @@ def _shaded(mesh: Mesh, faces: Ints, look: str, crease: float) -> Surface:
         mesh.vertices[vertex].astype(np.float32),
         (summed / length[:, None]).astype(np.float32),
         group.reshape(-1, 3).astype(np.int64),
+        vertex,
     )
 
 

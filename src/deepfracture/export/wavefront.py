@@ -43,16 +43,22 @@ def write_library(folder: Path, appearance: Appearance) -> None:
     lines = []
     for k, (name, finish) in enumerate(zip(_names(appearance.finishes), appearance.finishes, strict=True)):
         plain = COLOURS["outer"] if appearance.colours is None else (255, 255, 255)
-        lines += _material(name, plain if finish.colour is None else finish.colour)
+        lines += material_lines(name, plain if finish.colour is None else finish.colour)
         if finish.texture is not None:
-            picture = f"texture_{k}." + ("png" if finish.texture.startswith(b"\x89PNG") else "jpg")
+            picture = picture_name(k, finish.texture)
             (folder / picture).write_bytes(finish.texture)
             lines.append(f"map_Kd {picture}")
-    lines += _material(INNER.name, COLOURS["inner"])
+    lines += material_lines(INNER.name, COLOURS["inner"])
     (folder / LIBRARY).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _material(name: str, colour: tuple[int, int, int]) -> list[str]:
+def picture_name(number: int, data: bytes) -> str:
+    """Of a texture's file, by what it is."""
+    return f"texture_{number}." + ("png" if data.startswith(b"\x89PNG") else "jpg")
+
+
+def material_lines(name: str, colour: tuple[int, int, int]) -> list[str]:
+    """A plain material of an .mtl file."""
     red, green, blue = (c / 255 for c in colour)
     return [f"newmtl {name}", f"Kd {red:.4f} {green:.4f} {blue:.4f}", "Ks 0 0 0", "d 1", "illum 2"]
 

@@ -2,7 +2,12 @@
 
 from deepfracture.world.engine import ENGINES, Motion
 from deepfracture.world.learning import KINDS, draw_scene, learning_scene
+from deepfracture.world.live import Collision, Live, Outcome
+from deepfracture.world.recorder import Pose
 from deepfracture.world.scene import (
+    GRAVITY,
+    STEEL,
+    UPRIGHT,
     Ball,
     Block,
     Floor,
@@ -10,20 +15,26 @@ from deepfracture.world.scene import (
     Scene,
     load_scene,
     save_scene,
+    standing,
     throw_scene,
 )
-from deepfracture.world.simulate import Collision, Outcome, first_impact, joint_impact, simulate
+from deepfracture.world.simulate import first_impact, joint_impact, simulate
 
 __all__ = [
     "ENGINES",
+    "GRAVITY",
     "KINDS",
+    "STEEL",
+    "UPRIGHT",
     "Ball",
     "Block",
     "Collision",
     "Floor",
+    "Live",
     "Motion",
     "Outcome",
     "Placed",
+    "Pose",
     "Scene",
     "draw_scene",
     "first_impact",
@@ -32,5 +43,6 @@ __all__ = [
     "load_scene",
     "save_scene",
     "simulate",
+    "standing",
     "throw_scene",
 ]

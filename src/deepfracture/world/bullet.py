@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from deepfracture.extras import pip_line
 from deepfracture.types import BadInput, Floats
 from deepfracture.world.engine import (
     FLOOR_DEPTH,
@@ -54,7 +55,7 @@ class Bullet:
             import pybullet
         except ImportError as error:
             raise BadInput(
-                "engine 'bullet' needs pybullet (Linux, Python <= 3.11: pip install pybullet); "
+                f"engine 'bullet' needs pybullet (Linux, Python <= 3.11: {pip_line('bullet')}); "
                 "use engine 'rapier' instead"
             ) from error
         self._api: Any = pybullet

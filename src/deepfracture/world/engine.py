@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from deepfracture.types import BadInput, Floats
+from deepfracture.words import meant
 
 ENGINES = ("bullet", "rapier")
 
@@ -140,7 +141,7 @@ def open_engine(name: str, *, gravity: float, surface: Surface) -> Engine:
         from deepfracture.world.rapier import Rapier
 
         return Rapier(gravity, surface)
-    raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+    raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {name!r}{meant(name, ENGINES)}")
 
 
 def rotation(quat_wxyz: Floats) -> Floats:

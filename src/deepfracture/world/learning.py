@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepfracture.types import BadInput, Floats, Mesh, Shape
+from deepfracture.words import meant
 from deepfracture.world.engine import quaternion, rotation, times
 from deepfracture.world.hulls import whole_hulls
 from deepfracture.world.scene import STEEL, Ball, Block, Placed, Scene, Vector
@@ -49,7 +50,7 @@ def draw_scene(
 
     BadInput if there is no such kind, or if balls do not start outside the shape."""
     if kind not in KINDS:
-        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {kind!r}")
+        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {kind!r}{meant(kind, KINDS)}")
     if kind == "single":
         return learning_scene(shape.name, shape, rng, material=material, speed=speed)
     _check_outside(shape, RADIUS, DISTANCE)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from deepfracture.types import Floats, Fragments, Ints, Mesh, Recording, Shape, Track
+from deepfracture.types import Floats, Fragments, Ints, Mesh, Recording, Rigid, Shape, Track
 from deepfracture.world.engine import Motion, rotation
 from deepfracture.world.scene import Block, Scene
 from deepfracture.world.stage import Body, block_motion
@@ -17,6 +19,23 @@ FLOOR_THICKNESS = 0.1
 """Of the floor that is shown [m]."""
 
 
+class Pose(NamedTuple):
+    """Where a body was."""
+
+    number: int
+    """Of the body: no other has it."""
+    name: str
+    kind: str
+    """As in `types.Track`."""
+    mesh: Mesh
+    source: Ints | None
+    whole: Shape | None
+    position: Floats
+    """Origin of its mesh frame [m], shape (3,)."""
+    quat_wxyz: Floats
+    """Rotation world_from_mesh, shape (4,)."""
+
+
 @dataclass
 class _Line:
     name: str
@@ -25,8 +44,33 @@ class _Line:
     source: Ints | None
     whole: Shape | None
     start: int
-    positions: list[Floats] = field(default_factory=list)
-    quats: list[Floats] = field(default_factory=list)
+    body: Body
+    # Numbers one after another: as arrays of their own they would take four times the memory.
+    positions: array = field(default_factory=lambda: array("d"))
+    quats: array = field(default_factory=lambda: array("d"))
+    velocities: array = field(default_factory=lambda: array("d"))
+    spins: array = field(default_factory=lambda: array("d"))
+
+    def add(self, motion: Motion) -> None:
+        """One more frame."""
+        self.positions.frombytes(np.asarray(motion.position, float).tobytes())
+        self.quats.frombytes(np.asarray(motion.quat_wxyz, float).tobytes())
+        self.velocities.frombytes(np.asarray(motion.velocity, float).tobytes())
+        self.spins.frombytes(np.asarray(motion.spin, float).tobytes())
+
+    @property
+    def count(self) -> int:
+        """Frames in which it existed so far."""
+        return len(self.positions) // 3
+
+    def at(self, k: int) -> tuple[Floats, Floats]:
+        """Position and rotation in its frame k."""
+        return np.array(self.positions[3 * k : 3 * k + 3]), np.array(self.quats[4 * k : 4 * k + 4])
+
+    def rigid(self) -> Rigid:
+        mass = self.body.mass
+        velocities, spins = _rows(self.velocities, 3), _rows(self.spins, 3)
+        return Rigid(mass.mass, mass.centre, mass.inertia, velocities, spins, self.body.hulls)
 
 
 class Recorder:
@@ -53,11 +97,26 @@ class Recorder:
             if body.number not in self._lines:
                 mesh = body.mesh if body.mesh is not None else ball_mesh(body.radius)
                 source, whole = self._pieces.get(body.number, (None, body.shape))
-                self._lines[body.number] = _Line(body.name, body.kind, mesh, source, whole, self.frames)
-            line = self._lines[body.number]
-            line.positions.append(motion.position)
-            line.quats.append(motion.quat_wxyz)
+                self._lines[body.number] = _Line(body.name, body.kind, mesh, source, whole, self.frames, body)
+            self._lines[body.number].add(motion)
         self.frames += 1
+
+    def at(self, frame: float) -> list[Pose]:
+        """Where everything that moves was at a frame; between two frames it goes straight from one to the other."""
+        first = min(int(frame), self.frames - 1)
+        share = min(frame - first, 1.0)
+        poses = []
+        for number, line in self._lines.items():
+            k = first - line.start
+            if 0 <= k < line.count:
+                here, there = line.at(k), line.at(min(k + 1, line.count - 1))
+                place = here if share == 0 else _between(here, there, share)
+                poses.append(Pose(number, line.name, line.kind, line.mesh, line.source, line.whole, *place))
+        return poses
+
+    def mesh(self, name: str) -> Mesh:
+        """The mesh of a body that is there, or was."""
+        return next(line.mesh for line in self._lines.values() if line.name == name)
 
     def recording(self) -> Recording:
         tracks = [
@@ -67,9 +126,10 @@ class Recorder:
                 line.mesh,
                 line.source,
                 line.start,
-                np.array(line.positions),
-                np.array(line.quats),
+                _rows(line.positions, 3),
+                _rows(line.quats, 4),
                 line.whole,
+                line.rigid(),
             )
             for line in self._lines.values()
         ]
@@ -93,6 +153,17 @@ class Recorder:
         similarity[:3, :3] = self._reference.scale * turn
         similarity[:3, 3] = self._reference.to_user(-turn @ np.asarray(placed.position))
         return similarity
+
+
+def _between(here: tuple[Floats, Floats], there: tuple[Floats, Floats], share: float) -> tuple[Floats, Floats]:
+    """A share of the way from one position and rotation to another."""
+    turn = there[1] if here[1] @ there[1] >= 0 else -there[1]
+    quat = (1 - share) * here[1] + share * turn
+    return (1 - share) * here[0] + share * there[0], quat / np.linalg.norm(quat)
+
+
+def _rows(numbers: array, width: int) -> Floats:
+    return np.array(numbers).reshape(-1, width)
 
 
 def ball_mesh(radius: float) -> Mesh:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from deepfracture.types import BadInput, Floats, Shape
+from deepfracture.words import meant
 from deepfracture.world.engine import ENGINES, rotation
 
 if sys.version_info >= (3, 11):
@@ -24,6 +25,8 @@ Vector = tuple[float, float, float]
 STEEL = 7800.0
 """Density of the balls that the builders throw [kg/m^3]."""
 GRAVITY = 9.81
+UPRIGHT = {"z": (1.0, 0.0, 0.0, 0.0), "y": (0.5**0.5, 0.5**0.5, 0.0, 0.0), "x": (0.5**0.5, 0.0, -(0.5**0.5), 0.0)}
+"""Rotation (w, x, y, z) that turns this axis of the file to the world's z."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +44,13 @@ class Placed:
     """Of the centre of mass [m/s]."""
     spin: Vector = (0.0, 0.0, 0.0)
     """Angular velocity [rad/s]."""
+    repair: bool = False
+    """Mend the mesh in the file where it is not closed."""
 
     def __post_init__(self) -> None:
         _text(self, "shape", "material")
+        if not isinstance(self.repair, bool):
+            raise BadInput(f"repair must be true or false, got {self.repair!r}")
         _vectors(self, position=3, quat_wxyz=4, velocity=3, spin=3)
         _unit(self)
 
@@ -138,7 +145,10 @@ class Scene:
     """Which breaker to use; empty: whatever the caller has."""
     blocks: tuple[Block, ...] = ()
     refracture: int = 0
-    """Generations of fragments that may break again (see `world.pieces`)."""
+    """Generations of fragments that may break again (see `world.pieces`) ..."""
+    again: str = "anything"
+    """... and what breaks them: "anything" that they meet, or only "balls" that came after them (see
+    `stage.STRIKING`), which is much less work."""
 
     def __post_init__(self) -> None:
         if not self.shapes:
@@ -153,7 +163,11 @@ class Scene:
                 f"steps_per_second must be a multiple of frame_rate, got {self.steps_per_second} and {self.frame_rate}"
             )
         if self.engine not in ENGINES:
-            raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {self.engine!r}")
+            raise BadInput(
+                f"engine must be one of {', '.join(ENGINES)}, got {self.engine!r}{meant(self.engine, ENGINES)}"
+            )
+        if self.again not in ("anything", "balls"):
+            raise BadInput(f"again must be anything or balls, got {self.again!r}")
         if not isinstance(self.breaker, str):
             raise BadInput(f"breaker must be text, got {self.breaker!r}")
 
@@ -189,6 +203,19 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     os.replace(part, path)
 
 
+def standing(
+    name: str,
+    shape: Shape,
+    *,
+    material: str,
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+    repair: bool = False,
+) -> Placed:
+    """The shape, turned so, a millimetre above a floor at z = 0."""
+    lowest = (shape.mesh.vertices @ rotation(np.asarray(quat_wxyz, float)).T)[:, 2].min()
+    return Placed(name, material, (0.0, 0.0, float(-lowest) + 1e-3), quat_wxyz, repair=repair)
+
+
 def throw_scene(
     name: str,
     shape: Shape,
@@ -209,9 +236,8 @@ def throw_scene(
     (world frame); what is not given is drawn: a point near the middle, from anywhere around and slightly
     downwards, at 15 to 25 m/s.
     """
-    turn = rotation(np.asarray(quat_wxyz, float))
-    stand = (shape.mesh.vertices @ turn.T)[:, 2]
-    place = np.array([0.0, 0.0, -stand.min() + 1e-3])
+    stands = standing(name, shape, material=material, quat_wxyz=quat_wxyz)
+    turn, place = rotation(np.asarray(quat_wxyz, float)), np.array(stands.position)
     if aim is None:
         aim = rng.uniform(-0.15, 0.15, 3) * np.ptp(shape.mesh.bounds, axis=0)
     if direction is None:
@@ -225,7 +251,6 @@ def throw_scene(
     start = goal - velocity * flight + [0, 0, GRAVITY * flight**2 / 2]
     start[2] = max(start[2], radius + 0.01)
     ball = Ball(radius, STEEL, _tuple(start), _tuple(velocity))
-    stands = Placed(name, material, _tuple(place), quat_wxyz)
     return Scene((stands,), (ball,), Floor(), duration=10.0, engine=engine, seed=seed)
 
 
@@ -269,7 +294,7 @@ def _known(cls: type, data: Any, where: str) -> dict[str, Any]:
     names = [f.name for f in fields(cls)]
     for key in data:
         if key not in names:
-            raise BadInput(f"{where} has an unknown field {key!r}; it may have {', '.join(names)}")
+            raise BadInput(f"{where} has an unknown field {key!r}; it may have {', '.join(names)}{meant(key, names)}")
     blank = cls.__dataclass_fields__
     for name in names:
         if name not in data and _required(blank[name]):
@@ -352,4 +377,6 @@ def _toml(data: dict[str, Any]) -> str:
 def _literal(value: Any) -> str:
     if isinstance(value, tuple | list):
         return "[" + ", ".join(_literal(v) for v in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)

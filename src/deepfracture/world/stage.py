@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,8 @@ DROWSY_SPEED, DROWSY_SPIN = 0.3, 2.0
 DROWSINESS = 6.0
 """... and loses its velocities at this rate [1/s], as it would by the crumbling of its edges. Rigid bodies
 would rock and spin on a point for very long."""
+STRIKING = 1.0
+"""A ball no faster than this breaks no fragment [m/s], where only balls may break them."""
 GONE = 4.0
 """A ball further than this from everything, and leaving, is not waited for [m]."""
 
@@ -50,7 +52,9 @@ class Body:
     source: Ints | None = None
     """Of a fragment: `Fragment.source`, in the whole."""
     born: float = 0.0
-    """When a fragment came to be [s]."""
+    """When it came to be [s]."""
+    hulls: tuple[Floats, ...] = ()
+    """Convex parts that stand for it in collisions, points in the mesh frame; none for balls and what is fixed."""
 
     @property
     def fixed(self) -> bool:
@@ -148,7 +152,17 @@ class Stage:
             generation = hit.body.generation + 1
             shape = self._breakable(piece, name, hit.body, generation)
             self.bodies[number] = Body(
-                number, name, "fragment", piece.mesh, mass, 1.0, shape, generation, piece.source, self.time
+                number,
+                name,
+                "fragment",
+                piece.mesh,
+                mass,
+                1.0,
+                shape,
+                generation,
+                piece.source,
+                self.time,
+                hull.points,
             )
             added.append(self.bodies[number])
         if not any(body.kind == "shape" for body in self.bodies.values()):
@@ -200,6 +214,12 @@ class Stage:
         apart = ball.position - np.array([m.position for body, m in moving if body.kind != "ball"])
         return bool((np.linalg.norm(apart, axis=1) > GONE).all() and (apart @ ball.velocity > 0).all())
 
+    def expect(self, ball: Ball) -> None:
+        """One more ball of the scene, the last in its list; it enters when its delay is over."""
+        self._waiting.append((len(self.scene.balls), ball))
+        self._waiting.sort(key=lambda waiting: (waiting[1].delay, waiting[0]))
+        self.scene = replace(self.scene, balls=(*self.scene.balls, ball))
+
     def remove(self, body: Body) -> None:
         del self.bodies[body.number]
         self.engine.remove(body.number)
@@ -214,8 +234,9 @@ class Stage:
         mass = Mass(properties.mass, properties.centre, properties.inertia)
         quat = np.asarray(placed.quat_wxyz) / np.linalg.norm(placed.quat_wxyz)
         motion = Motion(np.asarray(placed.position), quat, np.asarray(placed.velocity), np.asarray(placed.spin))
-        number = self.engine.add_body(whole_hulls(shape.mesh).points, mass, motion)
-        self.bodies[number] = Body(number, name, "shape", shape.mesh, mass, 1.0, shape)
+        hulls = whole_hulls(shape.mesh).points
+        number = self.engine.add_body(hulls, mass, motion)
+        self.bodies[number] = Body(number, name, "shape", shape.mesh, mass, 1.0, shape, hulls=hulls)
 
     def _enter_balls(self) -> None:
         while self._waiting and self._waiting[0][1].delay <= self.time + 1e-9:
@@ -223,28 +244,44 @@ class Stage:
             number = self.engine.add_ball(ball.radius, ball.mass, _start(ball))
             inertia = 0.4 * ball.mass * ball.radius**2 * np.eye(3)
             mass = Mass(ball.mass, np.zeros(3), inertia)
-            self.bodies[number] = Body(number, f"ball{index}", "ball", None, mass, ball.radius)
+            self.bodies[number] = Body(number, f"ball{index}", "ball", None, mass, ball.radius, born=self.time)
 
     def _substeps(self, dt: float) -> int:
         """As many that nothing fast jumps into a wall, while there is something to break."""
         if not any(body.shape for body in self.bodies.values()):
             return 1
         need = 1.0
-        for body, motion in self.moving():
-            if body.kind != "fragment":
+        for body in self.bodies.values():
+            if body.kind in ("ball", "shape"):
+                motion = self.engine.motion(body.number)
                 reach = TRAVEL * body.radius if body.kind == "ball" else SHAPE_TRAVEL
                 need = max(need, float(np.linalg.norm(motion.velocity)) * dt / reach)
         return int(np.ceil(need))
 
     def _substep(self, dt: float) -> list[Hit]:
-        breakable = [body for body in self.bodies.values() if body.shape and self._is_of_age(body)]
+        striking = self._striking()
+        breakable = [body for body in self.bodies.values() if body.shape and self._may_break(body, striking)]
         before = {body.number: motion for body, motion in self.moving()} if breakable else {}
         self.engine.step(dt)
+        if breakable and striking is not None:
+            struck = {c.other for ball in striking for c in self.engine.contacts(ball.number, before[ball.number])}
+            breakable = [body for body in breakable if body.generation == 0 or body.number in struck]
         hits = [self._hit(body, before, dt) for body in breakable]
         return [hit for hit in hits if hit and self._is_news(hit)]
 
-    def _is_of_age(self, body: Body) -> bool:
-        return body.generation == 0 or self.time - body.born > SAME_BLOW
+    def _striking(self) -> list[Body] | None:
+        """The balls that may break fragments; None: anything may."""
+        if self.scene.again != "balls":
+            return None
+        balls = [body for body in self.bodies.values() if body.kind == "ball"]
+        return [ball for ball in balls if np.linalg.norm(self.engine.motion(ball.number).velocity) > STRIKING]
+
+    def _may_break(self, body: Body, striking: list[Body] | None) -> bool:
+        if body.generation == 0:
+            return True
+        if striking is not None:
+            return any(ball.born > body.born for ball in striking)
+        return self.time - body.born > SAME_BLOW
 
     def _is_news(self, hit: Hit) -> bool:
         """Whether a blow says more than those before it (see `pieces.HARDER`)."""
