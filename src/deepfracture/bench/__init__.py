@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from deepfracture.types import BadInput, Shape
+from deepfracture.words import meant
 
 from .carve import bench_carve
 from .fracture import bench_fracture
@@ -31,5 +32,7 @@ def bench(room: str, shape: Shape, resolution: int, model: Path | None = None) -
     if room == "all":
         return [row for each in BENCHES.values() for row in each(shape, resolution, model)]
     if room not in BENCHES:
-        raise BadInput(f"bench {room!r}: unknown; choose one of {', '.join(BENCHES)} or all")
+        raise BadInput(
+            f"bench {room!r}: unknown; choose one of {', '.join(BENCHES)} or all{meant(room, (*BENCHES, 'all'))}"
+        )
     return BENCHES[room](shape, resolution, model)

@@ -11,6 +11,7 @@ import numpy as np
 
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape, Volume
+from deepfracture.words import meant
 
 from .base import PatternBreaker, PatternSource
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from .recalled import Memory
 
 BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
+AGAIN = ("learned", "physical", "voronoi")
+"""Breakers that know what becomes of a fragment that is hit again."""
 
 
 def make_breaker(
@@ -73,7 +76,7 @@ def make_source(
                 f"make some: deepfracture simulate {shape.name} --out data"
             )
         return Nearest(memory) if name == "nearest" else Random(memory)
-    raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}")
+    raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}{meant(name, BREAKERS)}")
 
 
 def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSource:

@@ -27,9 +27,13 @@ class Physical:
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         if shape.whole is not None:
             return self._pieces(shape, impact, rng)
+        cracking = simulate(self.body(shape), impact, rng)
+        return cracking.pattern if cracking else None
+
+    def body(self, shape: Shape) -> FractureBody:
+        """A whole shape made ready to be hit: seconds at the first call, nothing at the next."""
         key = id(shape)
         if key not in self._bodies:
             with stage("prepare body"):
                 self._bodies[key] = prepare_body(shape, self.material, self.grid)
-        cracking = simulate(self._bodies[key], impact, rng)
-        return cracking.pattern if cracking else None
+        return self._bodies[key]

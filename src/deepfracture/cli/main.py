@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +13,13 @@ from tyro.conf import Positional
 
 from deepfracture.progress import log
 from deepfracture.types import BadInput, NoSolution
+from deepfracture.words import meant
 
+from .help import asks_for_help, check_command, closing
+from .manner import Manner, profiled, set_logging, split_manner
+
+NAME = "deepfracture"
+SHELLS = ("bash", "zsh", "fish", "tcsh")
 ShapeName = Annotated[Positional[str], tyro.conf.arg(metavar="SHAPE", help="A mesh file, or a built-in shape.")]
 app = tyro.extras.SubcommandApp()
 
@@ -47,9 +52,10 @@ def shatter(
     resolution: int = 64,
     roughness: float = 0.0,
     engine: str = "rapier",
-    seed: int = 0,
+    seed: int | None = None,
     repair: bool = False,
     film: bool = True,
+    formats: tuple[str, ...] | None = None,
 ) -> None:
     """Throw a ball at a shape and break it: animation, fragments and a report.
 
@@ -65,16 +71,44 @@ def shatter(
         resolution: voxels along each axis for physical and voronoi.
         roughness: grain of the crack faces [m], of a body two metres long.
         engine: rapier or bullet.
-        seed: the same seed gives the same bytes.
+        seed: the same seed gives the same bytes (default: the scene's, or 0).
         repair: mend a mesh that is not closed.
         film: also render an .mp4 where the machine can.
+        formats: what to write: page, glb, picture, film, fragments (these by default), usd, usda, usdz, obj-sequence,
+            ply-sequence.
     """
     from .shatter import shatter as run
 
     run(
         shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, model=model, dataset=dataset,
         resolution=resolution, roughness=roughness, engine=engine, seed=seed, repair=repair, film=film,
+        formats=formats,
     )  # fmt: skip
+
+
+@app.command
+def play(
+    shape: Annotated[Positional[str | None], tyro.conf.arg(metavar="SHAPE")] = None,
+    /,
+    model: Path | None = None,
+    up: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    upload_limit: float = 64.0,
+) -> None:
+    """Shoot at things in the browser: a page on this machine.
+
+    Args:
+        shape: a mesh file or a built-in shape to begin with (default: pot).
+        model: trained weights for it instead of the shipped ones.
+        up: axis of the file that points up: x, y or z (default: y for .obj and .glb, else z).
+        host: address that the page listens on; by default this machine alone can reach it.
+        port: where it listens; the next free one if it is taken.
+        upload_limit: largest mesh that can be dropped onto the page [MB].
+    """
+    from .play import play as run
+
+    run(shape, model=model, up=up, host=host, port=port, upload_limit=upload_limit)
 
 
 @app.command
@@ -241,17 +275,66 @@ def warm() -> None:
     run()
 
 
+@app.command
+def doctor() -> None:
+    """Say which optional parts work on this machine, and what to type to install those that are missing."""
+    from .doctor import doctor as run
+
+    run()
+
+
+@app.command
+def export_onnx(
+    model: Annotated[Positional[str], tyro.conf.arg(metavar="MODEL")],
+    /,
+    out: Path,
+) -> None:
+    """Write a trained model as an ONNX graph, for game engines: from an impulse to the label of every voxel.
+
+    Args:
+        model: trained weights, or a built-in shape whose weights ship.
+        out: the .onnx file.
+    """
+    from .onnx import export_onnx as run
+
+    run(model, out=out)
+
+
+@app.command
+def completion(shell: Annotated[Positional[str], tyro.conf.arg(metavar="SHELL")], /) -> None:
+    """Write what makes a shell complete commands and options, to be sourced or saved.
+
+    Args:
+        shell: bash, zsh, fish or tcsh.
+    """
+    if shell not in SHELLS:
+        raise BadInput(f"shell must be one of {', '.join(SHELLS)}, got {shell!r}{meant(shell, SHELLS)}")
+    app.cli(prog=NAME, args=["--tyro-print-completion", shell])
+
+
 def main(args: Sequence[str] | None = None) -> None:
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
-    log.setLevel(logging.INFO)
+    """Run one command; `args` are the words after the program's name, those of the process by default."""
+    words, manner = list(sys.argv[1:] if args is None else args), Manner()
     try:
-        app.cli(prog="deepfracture", description="Breaks things beautifully.", args=args)
-    except BadInput as problem:
-        sys.stderr.write(f"deepfracture: {problem}\n")
-        sys.exit(2)
-    except NoSolution as problem:
-        sys.stderr.write(f"deepfracture: {problem}\n")
-        sys.exit(1)
+        words, manner = split_manner(words)
+        set_logging(manner)
+        check_command(words, commands())
+        with profiled(manner.profile):
+            app.cli(prog=NAME, description="Breaks things beautifully.", args=words)
+    except SystemExit as done:
+        if not done.code and asks_for_help(words):
+            sys.stdout.write(closing(words))
+        raise
+    except (BadInput, NoSolution) as problem:
+        if manner.verbose:
+            log.debug("where it happened", exc_info=problem)
+        sys.stderr.write(f"{NAME}: {problem}\n")
+        sys.exit(2 if isinstance(problem, BadInput) else 1)
     except KeyboardInterrupt:
-        sys.stderr.write("deepfracture: interrupted; run the same command again to go on\n")
+        sys.stderr.write(f"{NAME}: interrupted; run the same command again to go on\n")
         sys.exit(130)
+
+
+def commands() -> tuple[str, ...]:
+    """Every command, as it is typed."""
+    return tuple(name.replace("_", "-") for name in app._subcommands)

@@ -8,6 +8,7 @@ import os
 import sys
 from pathlib import Path
 
+from deepfracture.extras import need
 from deepfracture.progress import log
 
 COLUMNS = f"{'case':<60} {'exact':>11} {'ours':>11} {'error':>9} {'limit':>9}  {'ok':<3} {'N':>5} {'seconds':>8}"
@@ -17,6 +18,8 @@ def validate(*, json_file: Path | None, plots: Path | None, quick: bool) -> bool
     """Run every case, print the table, write `json_file` and pictures into `plots`; whether all pass."""
     from deepfracture.validation import draw, outcomes
 
+    if plots:
+        need("matplotlib", extra="plots", to="draw the plots of a validation")
     rows, level = [], log.level
     log.setLevel(logging.WARNING)  # the stages of each simulation would bury the table
     sys.stdout.write(f"{COLUMNS}\n")

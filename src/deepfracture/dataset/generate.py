@@ -28,8 +28,9 @@ from deepfracture.dataset.store import (
     write_sample,
     write_unbroken,
 )
-from deepfracture.progress import log, track
+from deepfracture.progress import hush, log, track
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, NoSolution, Shape
+from deepfracture.words import meant
 
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -93,7 +94,7 @@ def simulate_collisions(
     if not 0 < slow <= fast:
         raise BadInput(f"speed_range must be positive and ascending, got {speed_range}")
     if scene not in KINDS:
-        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}")
+        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}{meant(scene, KINDS)}")
     if refracture < 0 or frames < 1:
         raise BadInput(f"refracture must be 0 or more and frames at least 1, got {refracture} and {frames}")
     if repeats < 1:
@@ -182,6 +183,7 @@ def _start(out: Path, settings: Settings, prepare: Callable[[Settings], Collide]
     global _worker
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent: let a collision finish
+    hush()  # the parent shows how far all of them are
     _worker = (out, settings, prepare(settings))
 
 

@@ -17,6 +17,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -25,8 +26,11 @@ from typing import Any
 
 import numpy as np
 
+from deepfracture.extras import has, need
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Mesh, Shape
 
+OLDEST = (3, 11)
+"""Python for which there is zarr 3."""
 FORMAT = 2
 """Of the manifest."""
 UNSAID = {"scene": "single", "refracture": 0, "frames": 0, "repeats": 1}
@@ -146,6 +150,7 @@ def open_dataset(path: Path | str) -> Dataset:
     Raises:
         BadInput: `path` is not a data set, or its manifest or shape cannot be read.
     """
+    _need_zarr()
     path = Path(path)
     file = path / MANIFEST
     if not file.is_file():
@@ -164,6 +169,7 @@ def create(path: Path, settings: Settings) -> None:
     Raises:
         BadInput: The folder holds something else, or a data set of other settings.
     """
+    _need_zarr()
     wanted = settings.manifest()
     file = path / MANIFEST
     if file.is_file():
@@ -178,6 +184,14 @@ def create(path: Path, settings: Settings) -> None:
         (path / name).mkdir(parents=True, exist_ok=True)
     _write_shape(path / "shape", settings.shape.mesh)
     _write_text(file, json.dumps(wanted, indent=1))
+
+
+def _need_zarr() -> None:
+    """Every data set comes from `create` or `open_dataset`, which ask for the library before they touch a file."""
+    if sys.version_info < OLDEST and not has("zarr"):
+        here, oldest = (".".join(map(str, version[:2])) for version in (sys.version_info, OLDEST))
+        raise BadInput(f"data sets need Python {oldest} or newer, as zarr 3 does; this is {here}")
+    need("zarr", extra="data", to="read and write data sets")
 
 
 def done(path: Path) -> set[int]:

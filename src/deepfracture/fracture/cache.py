@@ -17,7 +17,7 @@ from deepfracture.types import BadInput, Floats32, Mesh
 from .elastostatics import ElasticBody, prepare
 from .lattice import Lattice
 
-VERSION = 1
+VERSION = 2
 """Changes when the same mesh would be remeshed or factorised to something else, or its distances change."""
 KEPT = 6
 """Files kept of each kind, the last used ones: a body takes some 120 MB, its distances at r = 128 10 MB."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from deepfracture.types import BadInput, Material
+from deepfracture.words import meant
 
 _PRESETS = (
     # Soda-lime float glass. EN 572-1: E 70 GPa, ν 0.2 (makers measure 72 GPa and 0.23), 2500 kg/m^3, characteristic
@@ -110,5 +111,5 @@ MATERIALS = MappingProxyType({preset.name: preset for preset in _PRESETS})
 def material(name: str) -> Material:
     """The preset called `name`. Raises BadInput with the names that exist."""
     if name not in MATERIALS:
-        raise BadInput(f"no material is called {name!r}; choose from {', '.join(MATERIALS)}")
+        raise BadInput(f"no material is called {name!r}; choose from {', '.join(MATERIALS)}{meant(name, MATERIALS)}")
     return MATERIALS[name]

@@ -11,6 +11,7 @@ from deepfracture.geometry.collapse import collapse_short
 from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.solids import blocks, box, fillet, sampled, slab, spline, tube, turned, united
 from deepfracture.types import BadInput, Floats, Mesh, Shape
+from deepfracture.words import meant
 
 WALL = 0.18
 """Thickness of vessel walls: five voxels of the 64^3 grid are 0.156."""
@@ -141,18 +142,12 @@ def _chair() -> Mesh:
 
 
 def _bunny() -> Mesh:
-    """The Stanford bunny of the pybullet package (902 triangles), turned so that z is up."""
-    from importlib.util import find_spec
+    """The Stanford bunny (902 triangles; its licence lies beside it), turned so that z is up."""
     from pathlib import Path
 
     from deepfracture.geometry.read import read_mesh
 
-    # pybullet_data is plain files: found without starting the engine.
-    spec = find_spec("pybullet_data")
-    path = Path(spec.origin or "").parent / "bunny.obj" if spec else None
-    if path is None or not path.exists():
-        raise BadInput("bunny: comes with the package pybullet, which is not installed; pip install pybullet")
-    mesh = read_mesh(path)
+    mesh = read_mesh(Path(__file__).parent / "shapes" / "bunny.obj")
     return Mesh(mesh.vertices[:, [0, 2, 1]] * [1, -1, 1], mesh.faces)
 
 
@@ -181,7 +176,9 @@ def builtin(name: str) -> Shape:
     """A built-in shape in its body frame, z up. Raises BadInput for an unknown name."""
     plain = plain_name(name)
     if plain not in _MAKERS:
-        raise BadInput(f"{name!r}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}")
+        raise BadInput(
+            f"{name!r}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}{meant(plain, BUILTIN)}"
+        )
     return _made(plain)
 
 

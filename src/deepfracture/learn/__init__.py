@@ -16,7 +16,7 @@ from deepfracture.learn.prediction import (
     predict,
     predictions,
 )
-from deepfracture.learn.settings import Config
+from deepfracture.learn.settings import Config, need_training
 
 if TYPE_CHECKING:
     from deepfracture.dataset import Dataset
@@ -50,6 +50,7 @@ def train(
     seed: int = 0,
 ) -> Card:
     """Train a model on `dataset` in the run folder `out`: see `learn.training.train`."""
+    need_training()
     from deepfracture.learn.training import train as run
 
     return run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from deepfracture.extras import need
 from deepfracture.types import BadInput
 
 
@@ -47,3 +48,9 @@ class Config:
     def code_size(self) -> int:
         """Length of a latent code: impulses, then segment."""
         return self.features * self.impulse_size + self.segment_size
+
+
+def need_training() -> None:
+    """Ask for what training needs, before it begins: the last thing that it does is to draw its curve."""
+    need("torch", extra="train", to="train")
+    need("matplotlib", extra="train", to="draw the curve of a training")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from deepfracture.extras import need
 from deepfracture.learn.checkpoint import KEY
 from deepfracture.learn.fields.settings import PRESETS, FieldConfig, preset
+from deepfracture.learn.settings import need_training
 from deepfracture.types import BadInput
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ def train_field(
     epochs: int | None = None, minutes: float | None = None, resume: bool = True, device: str = "auto", seed: int = 0,
 ) -> Card:  # fmt: skip
     """Train a network on `dataset` in the run folder `out`: see `learn.fields.training.train_field`."""
+    need_training()
     from deepfracture.learn.fields.training import train_field as run
 
     return run(
@@ -38,8 +40,7 @@ def load_field_model(path: Path | str, *, device: str = "auto") -> FieldModel:
     Raises:
         BadInput: In one line, what is missing, damaged, or of another format; torch or the device is not there.
     """
-    if find_spec("torch") is None:
-        raise BadInput(f"{path}: a field model predicts with torch, which is missing here; pip install torch")
+    need("torch", extra="train", to=f"predict with the field model {path}")
     from deepfracture.learn.fields.model import load_field_model as load
     from deepfracture.learn.team import pick_device
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from deepfracture.types import BadInput
+from deepfracture.words import meant
 
 PAPER, MLP, PIX2PIX = PRESETS = ("paper", "mlp", "pix2pix")
 PRECISIONS = ("auto", "float32", "bfloat16")
@@ -51,7 +52,9 @@ class FieldConfig:
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
-            raise BadInput(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+            raise BadInput(
+                f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}{meant(self.preset, PRESETS)}"
+            )
         for name in ("width", "impulse_size", "segment_size", "space", "batch", "points", "learning_rate", "late_rate"):
             if not getattr(self, name) > 0:
                 raise BadInput(f"{name} must be positive, got {getattr(self, name)}")

@@ -1,0 +1,297 @@
+"""`doctor`: what works on this machine, found out by using it, and what to type for the rest."""
+
+from __future__ import annotations
+
+import io
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import deepfracture
+from deepfracture.extras import has, pip_line
+
+BASE = ("numpy", "scipy", "numba", "manifold3d", "rapier3d", "trimesh", "pillow")
+"""Distributions whose versions matter when something goes wrong."""
+LOOKED_AFTER = 20
+"""Seconds that another program may take to say its version."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something that not every installation has."""
+
+    name: str
+    does: str
+    module: str
+    """What is imported."""
+    extra: str | None
+    """Extra of this program that brings it; None: it comes with the program."""
+    use: Callable[[], str]
+    """Uses it a little, and returns a few words on what it found; any error means that it does not work."""
+    never: str = ""
+    """Why it cannot be had here, if so."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """How a part fared."""
+
+    part: Part
+    state: str
+    """works, missing, or broken."""
+    words: str
+
+
+def doctor() -> None:
+    """Try every part and write what was found to stdout."""
+    for line in machine():
+        sys.stdout.write(f"{line}\n")
+    findings = []
+    for part in parts():
+        findings.append(examine(part))
+        sys.stdout.write(f"{_line(findings[-1])}\n")
+        sys.stdout.flush()
+    for line in outside():
+        sys.stdout.write(f"{line}\n")
+    sys.stdout.write(f"\n{advice(findings)}\n")
+
+
+def machine() -> Iterator[str]:
+    """What the program runs on."""
+    where = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    yield f"deepfracture {deepfracture.__version__} on {where}"
+    yield "  " + ", ".join(f"{name} {_version(name)}" for name in BASE)
+    free = _free_memory()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield f"  {cores} cores" + ("" if free is None else f", {free[1]:.1f} of {free[0]:.1f} GB of memory free")
+    compiled, wanted = kernels()
+    state = "not compiled yet: `deepfracture warm` does it once, in about two minutes"
+    if compiled:
+        state = f"compiled in {compiled} of {wanted} files" + (
+            "" if compiled == wanted else "; the others when they are first used"
+        )
+    yield f"  kernels {state}"
+
+
+def kernels() -> tuple[int, int]:
+    """Source files with kernels whose machine code is in Numba's cache, and all with kernels that it keeps."""
+    from deepfracture.geometry import kernels as some
+
+    package = Path(deepfracture.__file__).parent
+    sources = [path for path in package.rglob("*.py") if re.search(r"^@njit\(.*cache=True", path.read_text(), re.M)]
+    first = next(value for value in vars(some).values() if hasattr(value, "_cache"))
+    folder = Path(first._cache.cache_path)
+    beside = folder.parent == package / "geometry"
+    tag = f"py{sys.version_info.major}{sys.version_info.minor}"
+    found = sum(
+        any(
+            (path.parent / "__pycache__").glob(f"{path.stem}.*{tag}.nbi")
+            if beside
+            else folder.parent.rglob(f"{path.stem}.*{tag}.nbi")
+        )
+        for path in sources
+    )
+    return found, len(sources)
+
+
+def parts() -> tuple[Part, ...]:
+    """Everything that is tried, in the order of the table."""
+    python = sys.version_info
+    bullet = sys.platform == "linux" and python < (3, 12)
+    return (
+        Part("rapier", "rigid bodies", "rapier3d", None, lambda: _falls("rapier")),
+        Part(
+            "bullet", "rigid bodies, as in the paper", "pybullet", "bullet", lambda: _falls("bullet"),
+            "" if bullet else "wheels for Linux and Python <= 3.11 only; rapier does the same",
+        ),
+        Part("page", "animation.html, play", "viser", "play", _page),
+        Part("film", "animation.mp4", "imageio_ffmpeg", "render", _film),
+        Part("usd", "Houdini, Omniverse, Blender", "pxr", "usd", _usd),
+        Part(
+            "data sets", "simulate, train, evaluate", "zarr", "data", _store,
+            "" if python >= (3, 11) else "zarr 3 needs Python 3.11 or newer",
+        ),
+        Part("plots", "train, evaluate, validate --plots", "matplotlib", "plots", _plot),
+        Part("torch", "train", "torch", "train", _torch),
+        Part("onnx", "export-onnx", "onnxruntime", "onnx", _onnx),
+    )  # fmt: skip
+
+
+def examine(part: Part) -> Finding:
+    """Import a part and use it."""
+    if part.never and not has(part.module):
+        return Finding(part, "missing", part.never)
+    if not has(part.module):
+        return Finding(part, "missing", pip_line(part.extra) if part.extra else "install deepfracture again")
+    try:
+        return Finding(part, "works", part.use())
+    except Exception as error:  # whatever a foreign library raises is what is to be told
+        reason = (str(error).strip().splitlines() or [""])[0]
+        return Finding(part, "broken", f"{type(error).__name__}: {reason}"[:120])
+
+
+def advice(findings: list[Finding]) -> str:
+    """The one line that brings what is missing or broken."""
+    wanted = [
+        finding.part.extra
+        for finding in findings
+        if finding.state != "works" and finding.part.extra and not (finding.state == "missing" and finding.part.never)
+    ]
+    if any(finding.state != "works" and finding.part.extra is None for finding in findings):
+        return "the program itself is not whole: pip install --force-reinstall deepfracture"
+    if not wanted:
+        return "everything that can work here does"
+    again = " --force-reinstall" if any(finding.state == "broken" for finding in findings) else ""
+    return f"all that is missing: {pip_line(*dict.fromkeys(wanted))}{again}"
+
+
+def outside() -> Iterator[str]:
+    """Programs of others that ours works with."""
+    blender = shutil.which("blender")
+    if blender is None:
+        yield f"{'blender':<10} {'missing':<8} Alembic, FBX and the add-on: install Blender and put it on the PATH"
+        return
+    try:
+        said = subprocess.run([blender, "--version"], capture_output=True, text=True, timeout=LOOKED_AFTER, check=True)
+        words = (said.stdout.splitlines() or ["no version"])[0]
+        yield f"{'blender':<10} {'works':<8} Alembic, FBX and the add-on: {words}, {blender}"
+    except (OSError, subprocess.SubprocessError) as error:
+        yield f"{'blender':<10} {'broken':<8} {blender}: {type(error).__name__}"
+
+
+def _line(finding: Finding) -> str:
+    return f"{finding.part.name:<10} {finding.state:<8} {finding.part.does}: {finding.words}"
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def _free_memory() -> tuple[float, float] | None:
+    """All memory and that which is free [GB], where the system tells."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return None
+    known = {line.split(":")[0]: float(line.split()[1]) / 1e6 for line in lines if line.endswith("kB")}
+    return known["MemTotal"], known["MemAvailable"]
+
+
+def _falls(name: str) -> str:
+    """A cube falls for a tenth of a second."""
+    from deepfracture.world.engine import Mass, Motion, Surface, open_engine
+
+    engine = open_engine(name, gravity=10.0, surface=Surface(0.5, 0.1))
+    try:
+        corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+        start = Motion(np.array([0, 0, 10.0]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+        cube = engine.add_body([corners], Mass(1.0, np.zeros(3), np.eye(3)), start)
+        for _ in range(24):
+            engine.step(1 / 240)
+        fell = 10.0 - float(engine.motion(cube).position[2])
+    finally:
+        engine.close()
+    if not 0.04 < fell < 0.06:
+        raise RuntimeError(f"a cube fell {fell:.3f} m in 0.1 s, not 0.05")
+    return _version({"rapier": "rapier3d", "bullet": "pybullet"}[name])
+
+
+def _page() -> str:
+    viser = import_module("viser")
+    with redirect_stdout(io.StringIO()):  # viser prints an address
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            server.scene.add_box("/box")
+            html = server.get_scene_serializer().as_html()
+        finally:
+            server.stop()
+    return f"viser {_version('viser')}, a page of {len(html) / 1e6:.1f} MB"
+
+
+def _film() -> str:
+    import imageio_ffmpeg
+
+    with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
+        path = Path(folder) / "film.mp4"
+        writer = imageio_ffmpeg.write_frames(str(path), (64, 64), fps=30, codec="libx264", ffmpeg_log_level="error")
+        writer.send(None)
+        for grey in (0, 128, 255):
+            writer.send(np.full((64, 64, 3), grey, np.uint8))
+        writer.close()
+        size = path.stat().st_size
+    return f"ffmpeg {imageio_ffmpeg.get_ffmpeg_version()}, a film of {size} bytes"
+
+
+def _usd() -> str:
+    usd: Any = import_module("pxr.Usd")
+    stage = usd.Stage.CreateInMemory()
+    import_module("pxr.UsdGeom").Sphere.Define(stage, "/ball")
+    if "ball" not in stage.GetRootLayer().ExportToString():
+        raise RuntimeError("a stage was written without what is in it")
+    return "USD " + ".".join(str(number) for number in usd.GetVersion())
+
+
+def _store() -> str:
+    zarr = import_module("zarr")
+    with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
+        group = zarr.open_group(folder, mode="w")
+        array = group.create_array("numbers", shape=(4,), dtype="f4")
+        array[...] = np.arange(4)
+        back = np.asarray(zarr.open_group(folder, mode="r")["numbers"])
+    if back.tolist() != [0, 1, 2, 3]:
+        raise RuntimeError(f"0, 1, 2, 3 was read back as {back.tolist()}")
+    return f"zarr {_version('zarr')}"
+
+
+def _plot() -> str:
+    from matplotlib.figure import Figure
+
+    figure, data = Figure(figsize=(1, 1)), io.BytesIO()
+    figure.subplots().plot([0, 1])
+    figure.savefig(data, format="png")
+    return f"matplotlib {_version('matplotlib')}"
+
+
+def _torch() -> str:
+    torch = import_module("torch")
+    found = [
+        name for name, there in (("cuda", torch.cuda.is_available), ("mps", torch.backends.mps.is_available)) if there()
+    ]
+    device = torch.device(found[0] if found else "cpu")
+    if float(torch.ones(4, device=device).sum()) != 4:
+        raise RuntimeError(f"four ones on {device} do not make four")
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{torch.get_num_threads()} threads"
+    return f"torch {torch.__version__} on {device.type}, {name}"
+
+
+def _onnx() -> str:
+    import onnxruntime
+    from onnx import TensorProto, helper
+
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        [helper.make_node("Add", ["x", "x"], ["y"])], "twice", [value("x", TensorProto.FLOAT, [1])],
+        [value("y", TensorProto.FLOAT, [1])],
+    )  # fmt: skip
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    (twice,) = session.run(None, {"x": np.ones(1, np.float32)})
+    if float(np.asarray(twice)[0]) != 2:
+        raise RuntimeError(f"twice one was {twice}")
+    return f"onnx {_version('onnx')}, onnxruntime {_version('onnxruntime')}"

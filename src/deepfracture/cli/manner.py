@@ -1,0 +1,103 @@
+"""How a command talks, whichever it is: quietly, in detail, or with a profile of where its time went."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from deepfracture.progress import Stage, collect_stages, hush, log
+from deepfracture.types import BadInput
+
+
+@dataclass(frozen=True)
+class Manner:
+    """What --quiet, --verbose and --profile FILE ask for; any command takes them, anywhere in the line."""
+
+    quiet: bool = False
+    verbose: bool = False
+    profile: Path | None = None
+
+
+def split_manner(words: Sequence[str]) -> tuple[list[str], Manner]:
+    """The words of a command line that are left, and the manner that the others ask for.
+
+    Raises:
+        BadInput: --profile without a file, or quiet and verbose at once.
+    """
+    left: list[str] = []
+    said, profile = set(), None
+    rest = iter(words)
+    for word in rest:
+        if word in ("-q", "--quiet", "-v", "--verbose"):
+            said.add("quiet" if "q" in word else "verbose")
+        elif word == "--profile" or word.startswith("--profile="):
+            name = word.partition("=")[2] or next(rest, "")
+            if not name or name.startswith("-"):
+                raise BadInput("--profile takes the file to write to, for example --profile shatter.prof")
+            profile = Path(name)
+        else:
+            left.append(word)
+    if len(said) == 2:
+        raise BadInput("--quiet and --verbose exclude each other")
+    return left, Manner("quiet" in said, "verbose" in said, profile)
+
+
+class _Stderr(logging.StreamHandler):
+    """Writes to whatever stderr is when a line comes, so that lines go above a running bar."""
+
+    @property
+    def stream(self) -> TextIO:
+        return sys.stderr
+
+    @stream.setter
+    def stream(self, stream: TextIO) -> None: ...
+
+
+def set_logging(manner: Manner) -> None:
+    """One line a stage; only warnings when quiet; with the time of day and more of them in detail."""
+    form = "%(asctime)s %(levelname)-7s %(message)s" if manner.verbose else "%(message)s"
+    logging.basicConfig(level=logging.WARNING, format=form, datefmt="%H:%M:%S", handlers=[_Stderr()])
+    log.setLevel(logging.WARNING if manner.quiet else logging.DEBUG if manner.verbose else logging.INFO)
+    hush(manner.quiet)
+
+
+@contextmanager
+def profiled(path: Path | None) -> Iterator[None]:
+    """Write where Python's time goes inside this block to `path`, and say which stages took how much of it."""
+    if path is None:
+        yield
+        return
+    from cProfile import Profile
+
+    profile, start = Profile(), time.perf_counter()
+    with collect_stages() as stages:
+        profile.enable()
+        try:
+            yield
+        finally:
+            profile.disable()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            profile.dump_stats(path)
+            log.warning("%s", _shares(stages, time.perf_counter() - start, path))
+
+
+def _shares(stages: Sequence[Stage], seconds: float, path: Path) -> str:
+    """A table of stages, the longest first; stages may lie inside each other."""
+    total: dict[str, float] = {}
+    for done in stages:
+        total[done.stage] = total.get(done.stage, 0.0) + done.seconds
+    longest = sorted(total, key=lambda name: -total[name])
+    lines = [f"  {name:<28} {total[name]:8.2f} s  {total[name] / seconds:4.0%}" for name in longest]
+    return "\n".join(
+        [
+            f"{seconds:.1f} s in all, with profiling; stages, some inside others:",
+            *lines,
+            f"functions: python -m pstats {path}, then 'sort cumulative' and 'stats 30'",
+        ]
+    )
