@@ -70,9 +70,10 @@ def test_hits_in_different_places_break_different_places(bar) -> None:
         near = [(p.labels > 0) & (p.distance < bar.grid.spacing) for p in patterns]
         return float(np.mean([x[beside].mean() for beside in near]))
 
-    assert mean_crack(-0.6) < -0.3
+    # Not nearer to an end: there the tension opposite, in the middle of the bar, comes within a tenth of that below.
+    assert mean_crack(-0.4) < -0.2
     assert -0.2 < mean_crack(0.0) < 0.2
-    assert mean_crack(0.6) > 0.3
+    assert mean_crack(0.4) > 0.2
 
 
 def test_a_tougher_bar_does_not_crack_further(bar) -> None:

@@ -1,12 +1,9 @@
 """The shapes that come with the program."""
 
-import importlib.util
-
 import numpy as np
 import pytest
 
 from deepfracture.geometry import BUILTIN, builtin, closest, faults, signed_distance_points
-from deepfracture.geometry.builtin import _made
 from deepfracture.types import BadInput
 
 GENUS = {"mug": 1, "letter_a": 1, "chair": 1}
@@ -87,18 +84,9 @@ def test_unknown_names_list_the_known_ones():
         builtin("vase")
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pybullet_data") is None, reason="pybullet is not installed")
 def test_the_bunny_stands_on_its_feet():
     shape = builtin("bunny")
     assert faults(shape.mesh).closed and len(shape.mesh.faces) == 902
     heights = shape.mesh.vertices[:, 2]
     # Ears are thin and up, feet are down: the middle of mass is below the middle of the box.
     assert np.median(heights) < 0.2
-
-
-def test_the_bunny_without_its_package_is_one_clear_line(monkeypatch):
-    _made.cache_clear()
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(BadInput, match="pip install pybullet") as caught:
-        builtin("bunny")
-    assert "\n" not in str(caught.value)

@@ -13,8 +13,10 @@ from deepfracture.geometry import (
     signed_distance_lattice,
     signed_distance_points,
 )
+from deepfracture.geometry.isosurface import isosurface
 from deepfracture.geometry.kernels import offset
 from deepfracture.geometry.solids import box, turned
+from deepfracture.geometry.topology import split_pinches
 from deepfracture.types import BadInput, Grid, Mesh
 
 HALF = np.array([0.9, 0.5, 0.3])
@@ -173,10 +175,12 @@ def test_remesh_refines_a_box_of_twelve_triangles_and_follows_thin_limbs():
     made = remesh(coarse, 300)
     assert len(made.faces) == pytest.approx(300, rel=0.1)
     assert made.volume == pytest.approx(0.32, rel=0.02)
-    # A rod thinner than a triangle: clusters would pinch it.
+    # A rod thinner than a triangle: clusters go round it, and are parted.
     rod = box((2, 0.05, 0.05), 9.0)
     thin = remesh(rod, 300)
     assert faults(thin).closed and thin.volume == pytest.approx(rod.volume, rel=0.02)
+    assert euler(thin) == 2 and 300 <= len(thin.faces) <= 600
+    assert np.quantile(shape_quality(thin), 0.05) > 0.2
     with pytest.raises(BadInput, match=r"30 triangles are too few .* ask for"):
         remesh(rod, 30)
 
@@ -187,6 +191,29 @@ def test_remesh_refuses_open_meshes_and_silly_counts():
         remesh(Mesh(mesh.vertices, mesh.faces[1:]), 100)
     with pytest.raises(BadInput, match="20 or more"):
         remesh(mesh, 3)
+
+
+def test_remesh_is_the_same_every_time():
+    mesh = builtin("letter_a").mesh
+    one, two = remesh(mesh, 300), remesh(mesh, 300)
+    assert one.vertices.tobytes() == two.vertices.tobytes() and one.faces.tobytes() == two.faces.tobytes()
+
+
+def test_isosurfaces_are_closed_whatever_the_values():
+    axis = np.linspace(-1.5, 1.5, 31)
+    away = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).astype(np.float32)
+    ball = isosurface(away - 1, np.full(3, -1.5), 0.1)
+    assert str(faults(ball)) == "" and euler(ball) == 2
+    assert ball.volume == pytest.approx(4 / 3 * np.pi, rel=0.01)
+    assert np.linalg.norm(ball.vertices, axis=1) == pytest.approx(
+        1, abs=0.009
+    )  # crossings keep clear of lattice points
+    noise = np.random.default_rng(0).normal(size=(9, 9, 9)).astype(np.float32)
+    noise[4, 4, 4] = 0
+    wild = isosurface(np.pad(noise, 1, constant_values=1), np.zeros(3), 1.0)
+    assert str(faults(wild)) == "" and len(split_pinches(wild).vertices) == len(wild.vertices)
+    with pytest.raises(BadInput, match="positive all round"):
+        isosurface(noise - 9, np.zeros(3), 1.0)
 
 
 def euler(mesh):

@@ -274,7 +274,7 @@ def test_gltf_colours_are_linear_light(tmp_path):
 
     colours = np.random.default_rng(0).integers(0, 256, (8, 4)).astype(np.uint8)
     places = DICE.vertices.astype(np.float32)
-    surface = Surface("outer", places, np.float32(places / np.sqrt(0.75)), DICE.faces, colours=colours)
+    surface = Surface("outer", places, np.float32(places / np.sqrt(0.75)), DICE.faces, np.arange(8), colours=colours)
     (tmp_path / "cube.glb").write_bytes(surface_glb(surface))
     shape = load_shape(str(tmp_path / "cube.glb"))
     corners = shape.mesh.triangles.reshape(-1, 3) / 2

@@ -14,7 +14,7 @@ FLAT = 1e-13
 """Distance [m] from a common plane up to which faces lie in it: what rounding leaves of a plane."""
 
 
-def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH) -> Ints:
+def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH, most: int | None = None) -> Ints:
     """Pairs of faces that cross each other, or overlap in one plane.
 
     Two faces cross when no shift of `tolerance` or less would part them. So whatever they share does not count, be it
@@ -27,6 +27,8 @@ def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH) -> Ints:
 
     Args:
         tolerance: [m]
+        most: Pairs after which the search ends, whatever is left; None: all are found. In a heap of n faces in one
+            plane there may be n^2.
 
     Returns:
         Faces i < j of each pair, in ascending order, shape (k, 2).
@@ -38,13 +40,14 @@ def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH) -> Ints:
         raise BadInput(f"tolerance must be positive, got {tolerance}")
     if len(mesh.faces) < 2:
         return np.zeros((0, 2), np.int64)
-    pairs = np.sort(_crossings(tree_of(mesh.triangles), tolerance), axis=1)
+    limit = np.iinfo(np.int64).max if most is None else most
+    pairs = np.sort(_crossings(tree_of(mesh.triangles), tolerance, limit), axis=1)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
 @njit(cache=True)
-def _crossings(tree: Tree, tolerance: float):  # pragma: no cover
-    """Unordered pairs of crossing faces. Each leaf position looks for partners behind itself."""
+def _crossings(tree: Tree, tolerance: float, most: int):  # pragma: no cover
+    """Unordered pairs of crossing faces, up to `most`. Each leaf position looks for partners behind itself."""
     found, count = np.empty((64, 2), np.int64), 0
     corners = tree.corners
     stack = np.empty(STACK, np.int64)
@@ -69,6 +72,8 @@ def _crossings(tree: Tree, tolerance: float):  # pragma: no cover
                         found = np.concatenate((found, np.empty_like(found)))
                     found[count, 0], found[count, 1] = tree.order[s], tree.order[t]
                     count += 1
+                    if count >= most:
+                        return found[:count].copy()
     return found[:count].copy()
 
 

@@ -13,10 +13,14 @@ from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.orient import oriented
 from deepfracture.geometry.soup import Soup, read_scene
 from deepfracture.geometry.topology import faults, shell_volumes, shells, split_pinches, weld
+from deepfracture.geometry.untangle import crossing_faces
 from deepfracture.geometry.wavefront import read_obj
 from deepfracture.progress import log
 from deepfracture.types import Appearance, BadInput, Mesh, Shape
+from deepfracture.words import meant
 
+LONGEST = 1e60
+"""Coordinates beyond it, and lengths below its inverse, leave too few powers of ten for volumes squared."""
 EXTENSIONS = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
 
 
@@ -29,7 +33,8 @@ def read_triangles(path: str | Path) -> Mesh:
 
 def _soup(path: Path) -> Soup:
     if not path.exists():
-        raise BadInput(f"{path}: no such file")
+        beside = (other.name for other in path.parent.iterdir()) if path.parent.is_dir() else ()
+        raise BadInput(f"{path}: no such file{meant(path.name, beside)}")
     if path.is_dir():
         raise BadInput(f"{path}: is a folder, not a mesh file")
     if path.suffix.lower() not in EXTENSIONS:
@@ -43,9 +48,19 @@ def _soup(path: Path) -> Soup:
     bad = count - int(np.isfinite(soup.vertices).all(axis=1).sum())
     if bad:
         raise BadInput(f"{path}: {bad} of {count} vertices are NaN or infinite; export it again")
+    _check_lengths(soup, path)
     if soup.faces.min() < 0 or soup.faces.max() >= count:
         raise BadInput(f"{path}: faces use vertices that the file lacks ({count} given); export it again")
     return soup
+
+
+def _check_lengths(soup: Soup, path: Path) -> None:
+    farthest = float(np.abs(soup.vertices).max())
+    longest = float(np.ptp(soup.vertices, axis=0).max())
+    if farthest > LONGEST:
+        raise BadInput(f"{path}: reaches to {farthest:.0e}, past {LONGEST:.0e}; scale it down")
+    if 0 < longest < 1 / LONGEST:
+        raise BadInput(f"{path}: is {longest:.0e} long, below {1 / LONGEST:.0e}; scale it up")
 
 
 def _welded(soup: Soup, path: str | Path) -> Mesh:
@@ -109,7 +124,20 @@ def load_shape(path_or_name: str, *, repair: bool = False) -> Shape:
         mesh = repaired(mesh, name=text)
     else:
         mesh = check_solid(mesh, text)
-    return replace(normalise(mesh, path.stem), appearance=_appearance(soup, mesh, text))
+    shape = normalise(mesh, path.stem)
+    if not repair:
+        _warn_of_crossings(shape, text)
+    return replace(shape, appearance=_appearance(soup, mesh, text))
+
+
+def _warn_of_crossings(shape: Shape, name: str) -> None:
+    count = len(crossing_faces(shape.mesh))
+    if count:
+        log.warning(
+            "%s: the surface runs through itself (%d faces): cuts may fail there; --repair mends that",
+            name,
+            count,
+        )
 
 
 def _appearance(soup: Soup, mesh: Mesh, name: str) -> Appearance | None:

@@ -2,58 +2,45 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
-from deepfracture.geometry.collapse import collapse_short
+from deepfracture.geometry.clusters import clusters, dual
 from deepfracture.geometry.distance import closest
-from deepfracture.geometry.topology import compact, faults, torn_vertices
+from deepfracture.geometry.topology import compact, faults, split_pinches, torn_vertices
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Mesh
 
-FINENESS = (8, 12)
-"""Input vertices a cluster needs so that clusters come out round: tried in turn."""
+FINENESS = (10, 24)
+"""Input vertices a cluster needs so that clusters come out round and even: tried in turn."""
 
 
 def remesh(mesh: Mesh, triangles: int) -> Mesh:
     """A closed manifold of about `triangles` well-shaped triangles on the surface of `mesh`.
 
-    Approximated centroidal Voronoi clusters (Valette and Chassery 2004, pyacvd). Sharp edges are
-    rounded by up to a triangle's size; the volume is kept by a small offset along the normals.
-    Where limbs are thinner than a triangle, edges are collapsed instead (less even, never torn).
-    Raises BadInput when the surface is too thin or wild for so few triangles."""
+    Approximated centroidal Voronoi clusters (`geometry.clusters`). Sharp edges are rounded by up to half a
+    triangle's size; the volume is kept by a small offset along the normals. Limbs thinner than a triangle get
+    smaller ones, up to twice as many in all. Raises BadInput when the surface is too thin or wild for so few."""
     if triangles < 20:
         raise BadInput(f"triangles must be 20 or more, got {triangles}")
     before = faults(mesh)
     if not before.closed:
         raise BadInput(f"only a closed mesh can be remeshed, this one has {before}")
+    mesh = split_pinches(mesh)
     euler = _euler(mesh)
     # Euler: faces = 2 (vertices - chi).
-    wanted = triangles // 2 + euler
+    wanted = max(10, triangles // 2 + euler)
     for fineness in FINENESS:
-        fine = _subdivided(mesh, fineness * wanted)
-        result = _clusters(fine, max(10, wanted))
+        fine = split_pinches(_subdivided(mesh, fineness * wanted))
+        result = dual(fine, clusters(fine, wanted))
         if not len(torn_vertices(result)) and _euler(result) == euler and faults(result).shells == before.shells:
             break
     else:
-        # Limbs thinner than a cluster pinch it: coarsen edge by edge instead, which cannot tear.
-        result = _coarsened(fine, triangles)
+        raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for more, or repair it")
+    if len(result.faces) > 2 * triangles:
+        raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for {len(result.faces)} or more")
+    if len(result.faces) > 1.05 * triangles:
         log.info("remesh: thin limbs; %d triangles where %d were asked for", len(result.faces), triangles)
     return _keep_volume(_outward(Mesh(closest(fine, result.vertices).points, result.faces)), mesh)
-
-
-def _coarsened(mesh: Mesh, triangles: int) -> Mesh:
-    """The mesh with ever longer edges collapsed until it has `triangles` or fewer, or up to twice as
-    many where its form allows no fewer."""
-    length = np.sqrt(_area(mesh) / triangles * 4 / np.sqrt(3))
-    for share in (0.25, 0.4, 0.55, 0.65, 0.75, 0.85, 1.0, 1.2, 1.4):
-        mesh = collapse_short(mesh, share * length)
-        if len(mesh.faces) <= triangles:
-            return mesh
-    if len(mesh.faces) <= 2 * triangles:
-        return mesh
-    raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for {len(mesh.faces)} or more")
 
 
 def _area(mesh: Mesh) -> float:
@@ -79,22 +66,6 @@ def _subdivided(mesh: Mesh, vertices: int) -> Mesh:
         raise BadInput(f"the mesh is not a manifold that can be remeshed ({solid.status()})")
     raw = solid.refine_to_length(float(length)).to_mesh64()
     return compact(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts, np.int64))
-
-
-def _clusters(mesh: Mesh, count: int) -> Mesh:
-    """The dual of `count` clusters of vertices; torn where the mesh is thinner than a cluster."""
-    import pyvista
-
-    with warnings.catch_warnings():
-        # pyacvd 0.4 calls a private name of pyvista that newer versions warn about.
-        warnings.simplefilter("ignore")
-        from pyacvd import Clustering
-
-        faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces])
-        clustering = Clustering(pyvista.PolyData(np.array(mesh.vertices), faces.ravel()))
-        clustering.cluster(count)
-        made = clustering.create_mesh()
-    return compact(np.asarray(made.points, float), made.faces.reshape(-1, 4)[:, 1:].astype(np.int64))
 
 
 def _keep_volume(mesh: Mesh, original: Mesh) -> Mesh:

@@ -1,14 +1,14 @@
 """One closed solid from a mesh that is not one, its outside kept where it was.
 
-First what keeps the input's own triangles: turn faces the right way, cap holes, unite shells.
-Where that is not enough (crowded edges, surfaces that cross themselves, gaps between parts),
+First what keeps the input's own triangles: turn faces the right way, cap holes, smooth small tangles, unite shells.
+Where that is not enough (crowded edges, surfaces that cross themselves widely, gaps between parts),
 the mesh is wrapped: everything that cannot be reached from outside becomes solid."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.geometry.distance import closest, winding_lattice
+from deepfracture.geometry.distance import closest
 from deepfracture.geometry.orient import oriented
 from deepfracture.geometry.solids import united
 from deepfracture.geometry.topology import (
@@ -19,6 +19,7 @@ from deepfracture.geometry.topology import (
     shells,
     split_pinches,
 )
+from deepfracture.geometry.untangle import crossing_faces, untangled
 from deepfracture.geometry.wrap import wrap
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Ints, Mesh
@@ -33,12 +34,14 @@ def repair(mesh: Mesh, name: str) -> Mesh:
     Caps and unions keep the input's triangles; a wrap stays within a hundredth of the longest
     side of the outside, save where it bridges gaps. Raises BadInput when no solid comes out."""
     before = faults(mesh)
-    if before.closed and before.shells == 1 and not _crosses_itself(mesh):
+    if before.closed and before.shells == 1 and not len(crossing_faces(mesh)):
         log.info("%s: already closed, nothing to repair", name)
         return split_pinches(mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1]))
     sealed, holes = cap_holes(oriented(split_pinches(mesh)))
     steps = [f"{holes} hole{'s' * (holes > 1)} capped"] if holes else []
-    solid = _united_shells(sealed)
+    solid, smoothed = _united_shells(sealed)
+    if smoothed:
+        steps.append(f"{smoothed} faces that ran through others of their shell smoothed apart")
     if solid is None:
         solid, gap = wrap(sealed, name)
         steps.append(f"wrapped, bridging gaps of up to {gap:.3g}")
@@ -78,34 +81,32 @@ def cap_holes(mesh: Mesh) -> tuple[Mesh, int]:
     return Mesh(capped.vertices, np.where(inward[:, None], capped.faces[:, ::-1], capped.faces)), len(loops)
 
 
-def _united_shells(mesh: Mesh) -> Mesh | None:
-    """The union of all shells, or None where a shell is not a plain solid or the union falls apart."""
+def _united_shells(mesh: Mesh) -> tuple[Mesh | None, int]:
+    """The union of all shells, None where a shell is not a plain solid or the union falls apart; and how many faces
+    were smoothed so that no shell crosses itself."""
     if not faults(mesh).closed:
-        return None
-    parts = _parts(mesh, shells(mesh.faces))
-    if any(_crosses_itself(part) for part in parts):
-        return None
+        return None, 0
+    piece = shells(mesh.faces)
+    smooth = untangled(mesh, piece)
+    if smooth is None:
+        return None, 0
+    mesh, count = smooth
+    parts = _parts(mesh, piece)
     if len(parts) == 1:
-        return mesh
+        return mesh, count
     try:
         solid = united(parts)
     except ValueError:
-        return None
+        return None, 0
     volumes = shell_volumes(solid, shells(solid.faces))
     whole = volumes.max() > (1 - CRUMB) * np.abs(volumes).sum()
-    return solid if whole and faults(solid).closed else None
+    plain = whole and faults(solid).closed and not len(crossing_faces(solid))
+    return (solid, count) if plain else (None, 0)
 
 
 def _parts(mesh: Mesh, piece: Ints) -> list[Mesh]:
-    return [compact(mesh.vertices, mesh.faces[piece == n]) for n in range(int(piece.max()) + 1)]
-
-
-def _crosses_itself(mesh: Mesh) -> bool:
-    """Whether the surface winds round some point of a lattice other than once or not at all."""
-    low, high = mesh.bounds
-    step = np.maximum((high - low) / 48, 1e-12)
-    turns = winding_lattice(mesh, low + step / 2, step, (48, 48, 48))
-    return bool(((turns < 0) | (turns > 1)).any())
+    order = np.argsort(piece, kind="stable")
+    return [compact(mesh.vertices, mesh.faces[own]) for own in np.split(order, np.cumsum(np.bincount(piece))[:-1])]
 
 
 def _largest_body(mesh: Mesh, name: str) -> tuple[Mesh, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 SCENES = (".glb", ".gltf")
 """Files whose colours are linear light."""
+LARGEST = 50_000_000
+"""Vertices that a glTF file may blow itself up to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +74,8 @@ def read_scene(path: Path) -> Soup:
     # trimesh reports what it skips to its own logger; our one line says enough.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
+        if path.suffix.lower() in SCENES:
+            _check_promises(path)
         scene = trimesh.load_scene(path, process=False, resolver=confined(path))
         looks = {name: _looks(mesh, path) for name, mesh in scene.geometry.items() if isinstance(mesh, trimesh.Trimesh)}
         placed = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
@@ -79,6 +84,21 @@ def read_scene(path: Path) -> Soup:
     except Exception as problem:  # Loaders raise anything on garbage; every case is the same to the user.
         reason = (str(problem).strip().splitlines() or [type(problem).__name__])[0]
         raise BadInput(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})") from None
+
+
+def _check_promises(path: Path) -> None:
+    """Raises ValueError where a small glTF file would become a large mesh: blank arrays and copies cost it nothing."""
+    data = path.read_bytes()
+    if data[:4] == b"glTF":  # glTF 2.0, 4.4: 12 bytes, then the length of the JSON chunk and its kind
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    tree = json.loads(data)
+    counts = [int(accessor.get("count", 0)) for accessor in tree.get("accessors", ())]
+    blank = sum(n for n, a in zip(counts, tree.get("accessors", ()), strict=True) if a.get("bufferView") is None)
+    parts = [mesh.get("primitives", ()) for mesh in tree.get("meshes", ())]
+    sizes = [sum(counts[p["attributes"]["POSITION"]] for p in part if "POSITION" in p["attributes"]) for part in parts]
+    copies = sum(sizes[node["mesh"]] for node in tree.get("nodes", ()) if 0 <= node.get("mesh", -1) < len(sizes))
+    if max(blank, copies) > LARGEST:
+        raise ValueError(f"{max(blank, copies)} vertices, {LARGEST} at most")
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,8 @@ from deepfracture.types import BadInput, Ints, Mesh
 
 WELD = 1e-6
 """Vertices closer than this share of the box diagonal are one: float32 noise of a transformed scene."""
+PAIRS = 1 << 25
+"""Vertices that close to each other, counted both ways, of which a table still fits into half a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,10 @@ def weld(vertices: NDArray, faces: Ints) -> Mesh:
 
     points, inverse = np.unique(np.asarray(vertices, float), axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(faces, np.int64)]
-    pairs = KDTree(points).query_pairs(WELD * float(np.linalg.norm(np.ptp(points, axis=0))), output_type="ndarray")
+    tree, reach = KDTree(points), WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    if tree.count_neighbors(tree, reach) > PAIRS:
+        raise BadInput(f"most of its vertices are one point next to its box of {reach / WELD:.0e}; is one far off?")
+    pairs = tree.query_pairs(reach, output_type="ndarray")
     if len(pairs):
         graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
         label = connected_components(graph, directed=False)[1]

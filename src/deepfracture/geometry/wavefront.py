@@ -69,6 +69,13 @@ def _is_number(word: str) -> bool:
     return True
 
 
+def _is_index(text: str) -> bool:
+    try:
+        return abs(int(text)) < 1 << 63
+    except ValueError:
+        return False
+
+
 def _colours(path: Path, rows: list[Row]) -> Floats | None:
     """Colours behind the positions, `v x y z r g b`, as many programs write them, shape (n, 4)."""
     if not rows or not all(len(words) in (6, 7) for _, words in rows):
@@ -94,10 +101,11 @@ def _triangles(path: Path, rows: dict[str, list[Row]]) -> tuple[Ints, Ints, list
     step = np.arange(len(face)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
     fans = corners[np.column_stack([start, start + step + 1, start + step + 2])]
     called = [" ".join(words) for _, words in marks]
-    names = sorted(set(called), key=called.index)
+    names = list(dict.fromkeys(called))
     # What comes before the first usemtl has a finish without a name.
     mark = np.searchsorted([number for number, _ in marks], lines[face]) - 1
-    finish = np.array([*(names.index(name) for name in called), len(names)], np.int64)[mark]
+    number = {name: n for n, name in enumerate(names)}
+    finish = np.array([*(number[name] for name in called), len(names)], np.int64)[mark]
     used, finish = np.unique(finish, return_inverse=True)
     return fans, finish.reshape(-1).astype(np.int64), [[*names, ""][k] for k in used]
 
@@ -114,7 +122,7 @@ def _indices(path: Path, words: list[str], lines: Ints, rows: dict[str, list[Row
         try:
             index = np.array([int(text) for text in texts if text], np.int64)
         except (ValueError, OverflowError):
-            bad = next(n for n, text in enumerate(texts) if text and not text.lstrip("+-").isdigit())
+            bad = next(n for n, text in enumerate(texts) if text and not _is_index(text))
             raise _unreadable(path, int(lines[bad]), f"face corner {words[bad]!r}") from None
         before = np.searchsorted([number for number, _ in rows[key]], lines[given])
         count = len(rows[key])

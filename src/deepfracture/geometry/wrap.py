@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from deepfracture.geometry.distance import distance_lattice, signed_distance_lattice
+from deepfracture.geometry.isosurface import isosurface
 from deepfracture.geometry.topology import compact
-from deepfracture.types import BadInput, Floats, Floats32, Mesh
+from deepfracture.geometry.untangle import untangled
+from deepfracture.types import BadInput, Floats32, Mesh
 
 VOXELS = 128
 """Voxels along the longest side."""
@@ -21,22 +23,33 @@ def wrap(mesh: Mesh, name: str) -> tuple[Mesh, float]:
 
     A ball rolls over the outside; what it cannot reach is solid (a morphological closing). The
     smallest ball that leaves a solid core is taken. Raises BadInput when none does."""
-    low, high = mesh.bounds
-    spacing = float((high - low).max()) / VOXELS
+    middle = mesh.bounds.mean(axis=0)
+    mesh = mesh.moved(1.0, -middle)  # far from the origin a lattice's steps would drown in rounding
+    spacing = float(np.ptp(mesh.bounds, axis=0).max()) / VOXELS
     for radius in GAPS:
         reach = radius * spacing
-        margin = reach + 3 * spacing
-        origin = low - margin
-        nx, ny, nz = (int(n) for n in np.ceil((high - low + 2 * margin) / spacing) + 1)
-        shape = (nx, ny, nz)
-        away = distance_lattice(mesh, origin, spacing, shape, limit=margin)
-        free = np.where(_outside(away, reach), away, np.minimum(away, reach))
-        outer = isosurface(np.asarray(free - reach, np.float32), origin, spacing)
-        inside = signed_distance_lattice(outer, origin, spacing, shape, limit=margin) - np.float32(reach)
-        # A core thicker than the ball: not just the sheets themselves.
-        if inside.max() > 2 * spacing:
-            return _lightened(isosurface(-inside, origin, spacing), 0.1 * spacing), 2 * reach
+        # A coarse lattice sees no gap that a fine one does not, and costs an eighth: what leaks there leaks.
+        if _closing(mesh, 2 * spacing, reach, 0.25 * spacing) is None:
+            continue
+        solid = _closing(mesh, spacing, reach, 2 * spacing)
+        if solid is not None:
+            return _lightened(solid, 0.1 * spacing).moved(1.0, middle), 2 * reach
     raise BadInput(f"{name}: open too wide to tell inside from outside, even with --repair; close it in a modeller")
+
+
+def _closing(mesh: Mesh, spacing: float, reach: float, core: float) -> Mesh | None:
+    """The surface of what a ball of radius `reach` cannot touch from outside; None if that is but a skin, with no point
+    deeper than `core`."""
+    low, high = mesh.bounds
+    margin = reach + 3 * spacing
+    origin = low - margin
+    nx, ny, nz = (int(n) for n in np.ceil((high - low + 2 * margin) / spacing) + 1)
+    shape = (nx, ny, nz)
+    away = distance_lattice(mesh, origin, spacing, shape, limit=margin)
+    free = np.where(_outside(away, reach), away, np.minimum(away, reach))
+    outer = isosurface(np.asarray(free - reach, np.float32), origin, spacing)
+    inside = signed_distance_lattice(outer, origin, spacing, shape, limit=margin) - np.float32(reach)
+    return isosurface(-inside, origin, spacing) if inside.max() > core else None
 
 
 def _outside(away: Floats32, reach: float) -> np.ndarray:
@@ -47,23 +60,15 @@ def _outside(away: Floats32, reach: float) -> np.ndarray:
     return free == free[0, 0, 0]
 
 
-def isosurface(values: Floats32, origin: Floats, spacing: float) -> Mesh:
-    """The closed surface where lattice values change from positive (outside) to negative."""
-    import pyvista
-
-    image = pyvista.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=tuple(origin))
-    # Crossings next to a lattice point make slivers: keep them a twentieth of a step away.
-    least = np.float32(0.05 * spacing)
-    field = np.where(np.abs(values) < least, np.where(values > 0, least, -least), values)
-    made = image.contour([0.0], scalars=field.ravel(order="F"), method="flying_edges")
-    mesh = compact(np.asarray(made.points, float), made.faces.reshape(-1, 4)[:, 1:].astype(np.int64))
-    return mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
-
-
 def _lightened(mesh: Mesh, tolerance: float) -> Mesh:
-    """Fewer triangles, moved by no more than the tolerance."""
+    """Fewer triangles, moved by about the tolerance at most; the mesh itself where they would cross each other."""
     from manifold3d import Manifold, Mesh64
 
     solid = Manifold(Mesh64(np.array(mesh.vertices), np.asarray(mesh.faces, np.uint64)))
-    raw = solid.simplify(tolerance).to_mesh64()
-    return compact(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts, np.int64))
+    for share in (1.0, 0.2):
+        raw = solid.simplify(share * tolerance).to_mesh64()
+        made = compact(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts, np.int64))
+        smooth = untangled(made, np.zeros(len(made.faces), np.int64))
+        if smooth is not None:
+            return smooth[0]
+    return mesh
