@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Ints, Mesh, Shape
-from deepfracture.validation.fragments import FragmentReport, check_fragments
+from deepfracture.validation.fragments import FragmentReport, _partners, check_fragments
 from deepfracture.validation.meshes import box, inverted, together
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -236,3 +236,13 @@ def test_the_benchmark_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pyt
     text = (tmp_path / "fragments.md").read_text()
     assert "- bar cells-001: ZeroDivisionError: no luck" in text
     assert "- bar hostile-001: " in text
+
+
+def test_a_crack_face_with_two_corners_in_one_place_fits_its_mate() -> None:
+    points = np.array([[0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    inward, outward = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 2, 1], [0, 3, 2]])
+    faces = np.concatenate([inward, outward])
+    _, corner = np.unique(points, axis=0, return_inverse=True)
+    assert (_partners(corner.ravel()[faces], np.array([0, 0, 1, 1]), 3) == [2, 3, 0, 1]).all()
+    assert (_partners(corner.ravel()[faces], np.array([0, 0, 0, 1]), 3) == [-1, 3, -1, 1]).all()  # of one fragment
+    assert (_partners(corner.ravel()[faces[:3]], np.array([0, 0, 1]), 3) == [2, -1, 0]).all()

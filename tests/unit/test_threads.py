@@ -22,10 +22,14 @@ def span(first: int, last: int) -> list[int]:
     return list(range(first, last))
 
 
+def flat(parts: list[list[int]]) -> list[int]:
+    return [n for part in parts for n in part]
+
+
 @pytest.mark.parametrize(("count", "least"), [(0, 1), (1, 1), (7, 1), (1000, 10), (10, 100)])
 def test_parts_are_consecutive_and_in_order(count: int, least: int) -> None:
     parts = spread(span, count, least=least)
-    assert sum(parts, []) == list(range(count))
+    assert flat(parts) == list(range(count))
     assert count < 2 * least or len(parts) > 1
 
 
@@ -49,16 +53,16 @@ def test_a_failure_in_any_part_comes_out() -> None:
 
         with pytest.raises(ArithmeticError, match=f"part {bad}"):
             spread(job, 9, least=1)
-    assert sum(spread(span, 9, least=1), []) == list(range(9))  # and the threads are still there
+    assert flat(spread(span, 9, least=1)) == list(range(9))  # and the threads are still there
 
 
 def test_shared_work_inside_shared_work_does_not_wait_for_itself() -> None:
-    parts = spread(lambda first, last: sum(spread(span, last - first, least=1), []), 9, least=1)
+    parts = spread(lambda first, last: flat(spread(span, last - first, least=1)), 9, least=1)
     assert [len(part) for part in parts] == [1] * 9
 
 
 def _forked(queue: "multiprocessing.Queue") -> None:
-    queue.put(sum(spread(span, 9, least=1), []))
+    queue.put(flat(spread(span, 9, least=1)))
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")

@@ -253,6 +253,12 @@ def _partners(faces: Ints, owner: Ints, count: int) -> Ints:
     holder = np.full(len(key), -1)
     holder[own] = np.arange(len(faces))
     partner = np.where((times[own] == 1) & (times[mirrored] == 1), holder[mirrored], -1)
+    # A face with two corners in one place looks the same from both sides.
+    flat = np.flatnonzero((a == b) | (b == c) | (c == a))
+    _, key, times = np.unique(np.sort(faces[flat], axis=1), axis=0, return_inverse=True, return_counts=True)
+    twice = flat[np.argsort(key.ravel(), kind="stable")][np.repeat(times == 2, times)]
+    partner[flat] = -1
+    partner[twice[::2]], partner[twice[1::2]] = twice[1::2], twice[::2]
     return np.where((partner >= 0) & (owner[partner] != owner), partner, -1)
 
 
