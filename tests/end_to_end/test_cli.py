@@ -113,6 +113,20 @@ def test_a_shape_by_its_other_name(tmp_path: Path) -> None:
     check_output(tmp_path)
 
 
+@pytest.mark.slow
+def test_it_writes_the_formats_that_are_asked_for_and_no_others(tmp_path: Path) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    done(
+        "shatter", "bar", "--breaker", "voronoi", "--resolution", 32, "--speed", 18, "--out", tmp_path,
+        "--formats", "usd", "fragments", "ply-sequence",
+    )  # fmt: skip
+    files = {"animation.usdc", "fragments", "ply_sequence", "scene.toml", "report.json"}
+    assert {path.name for path in tmp_path.iterdir()} == files
+    assert {*json.loads((tmp_path / "report.json").read_text())["files"], "report.json"} == files
+    pieces = len(list((tmp_path / "fragments").iterdir()))
+    assert (tmp_path / "ply_sequence" / "frame_0012.ply").read_bytes().count(b" fragment_") == pieces
+
+
 def test_a_soft_touch_breaks_nothing_and_says_so(tmp_path: Path) -> None:
     said = done("shatter", "bar", "--breaker", "voronoi", "--speed", 0.3, "--no-film", "--out", tmp_path)
     assert "did not break" in said or "nothing touched it" in said
@@ -129,10 +143,11 @@ def test_a_soft_touch_breaks_nothing_and_says_so(tmp_path: Path) -> None:
         (["bar", "--breaker", "nearest"], "--dataset"),
         (["bar", "--breaker", "physical", "--material", "cheese"], "cheese"),
         (["bar", "--breaker", "physical", "--resolution", "50"], "resolution must be one of"),
-        (["bar", "--breaker", "physical", "--up", "w"], "--up must be x, y or z"),
+        (["bar", "--breaker", "physical", "--up", "w"], "up must be x, y or z"),
         (["bar", "--breaker", "physical", "--engine", "unreal"], "unreal"),
         (["bar", "--breaker", "physical", "--speed", "-3"], "--speed and --radius must be positive"),
         (["--scene", "none.toml"], "none.toml"),
+        (["bar", "--formats", "glb", "usd-a"], "got 'usd-a'; did you mean 'usda'?"),
     ],
 )
 def test_bad_values_get_one_clear_line(args: list[str], says: str, tmp_path: Path) -> None:

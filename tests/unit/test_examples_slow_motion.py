@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,7 @@ def where_it_lies(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_glaze_has_no_seam_and_follows_its_seed() -> None:
-    from slow_motion import painted_glaze
-
+    painted_glaze = import_module("04_slow_motion").painted_glaze
     glaze = painted_glaze(np.random.default_rng(1))
     assert glaze == painted_glaze(np.random.default_rng(1)) != painted_glaze(np.random.default_rng(2))
     rows = np.asarray(Image.open(io.BytesIO(glaze)))
@@ -34,23 +34,21 @@ def test_the_glaze_has_no_seam_and_follows_its_seed() -> None:
 
 
 def test_the_strip_shows_clay_only_once_the_pot_is_open(tmp_path: Path) -> None:
-    from slow_motion import GAP, slow_motion
-
-    slow_motion(tmp_path, seconds=0.12, pictures=13, size=(64, 48), still=(90, 100))
+    example = import_module("04_slow_motion")
+    example.slow_motion(tmp_path, seconds=0.12, pictures=13, size=(64, 48), still=(90, 100))
     assert (tmp_path / "slow_motion.mp4").stat().st_size > 1000
     strip = np.asarray(Image.open(tmp_path / "slow_motion.png")).astype(int)
-    assert strip.shape == (100, 4 * 90 + 3 * GAP, 3)
-    whole, *_, falling = (strip[:, k * (90 + GAP) : k * (90 + GAP) + 90] for k in range(4))
+    assert strip.shape == (100, 4 * 90 + 3 * example.GAP, 3)
+    whole, *_, falling = (strip[:, k * (90 + example.GAP) : k * (90 + example.GAP) + 90] for k in range(4))
     assert clay(whole) < 40 < 200 < clay(falling)
 
 
 def test_pieces_put_together_look_like_the_whole_pot() -> None:
-    from slow_motion import broken, glazed
-
-    shape = glazed(np.random.default_rng(0))
-    tracks = broken(shape, 0, 22.0, 0.08, 6).tracks
+    example = import_module("04_slow_motion")
+    shape = example.glazed(np.random.default_rng(0))
+    tracks = example.broken(shape, 0, 22.0, 0.08, 6).tracks
     (whole,) = (track for track in tracks if track.kind == "shape")
-    still = {"start": 0, "positions": whole.positions[:1], "quats_wxyz": whole.quats_wxyz[:1]}
+    still = {"start": 0, "positions": whole.positions[:1], "quats_wxyz": whole.quats_wxyz[:1], "rigid": None}
     pieces = [replace(track, **still) for track in tracks if track.kind == "fragment"]
     assert len(pieces) > 5
     points = shape.mesh.vertices + whole.positions[0]
@@ -72,7 +70,6 @@ def clay(picture: np.ndarray) -> int:
 
 @pytest.mark.parametrize(("name", "value"), [("seconds", 0.01), ("pictures", 1), ("speed", 0.05)])
 def test_what_shows_no_break_is_refused(tmp_path: Path, name: str, value: float) -> None:
-    from slow_motion import slow_motion
-
+    slow_motion = import_module("04_slow_motion").slow_motion
     with pytest.raises(BadInput, match=name):
         slow_motion(tmp_path, **{"seconds": 0.1, "pictures": 6, name: value})  # pyright: ignore[reportArgumentType]

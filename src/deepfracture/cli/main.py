@@ -88,7 +88,7 @@ def shatter(
 
 @app.command
 def play(
-    shape: Annotated[Positional[str | None], tyro.conf.arg(metavar="SHAPE")] = None,
+    shape: ShapeName = "pot",
     /,
     model: Path | None = None,
     up: str | None = None,
@@ -99,7 +99,7 @@ def play(
     """Shoot at things in the browser: a page on this machine.
 
     Args:
-        shape: a mesh file or a built-in shape to begin with (default: pot).
+        shape: a mesh file or a built-in shape to begin with.
         model: trained weights for it instead of the shipped ones.
         up: axis of the file that points up: x, y or z (default: y for .obj and .glb, else z).
         host: address that the page listens on; by default this machine alone can reach it.

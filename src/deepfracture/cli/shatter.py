@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.breakers import AGAIN, make_breaker
+from deepfracture.api import scene_breaker, throw_scene
 from deepfracture.cli.formats import check_formats, write_formats
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import faults, load_shape
 from deepfracture.progress import Stage, collect_stages, log, stage
-from deepfracture.types import BadInput, Breaker, Fragments, Grid, Impact, Material, Shape
-from deepfracture.world import UPRIGHT, Outcome, Scene, load_scene, save_scene, throw_scene
+from deepfracture.types import Material
+from deepfracture.world import Outcome, Scene, load_scene, save_scene
 from deepfracture.world import simulate as run_world
 
 if TYPE_CHECKING:
@@ -35,7 +35,9 @@ def shatter(
         with stage("load"):
             if scene is None:
                 shape = load_shape(name, repair=repair)
-                played = _throw(name, shape, throw, material, engine, seed or 0)
+                played = throw_scene(
+                    shape, name=name, repair=repair, **asdict(throw), material=material, engine=engine, seed=seed or 0
+                )
                 shapes = [shape]
             else:
                 played = load_scene(scene)
@@ -43,7 +45,11 @@ def shatter(
                 shapes = [load_shape(placed.shape, repair=repair or placed.repair) for placed in played.shapes]
         with stage("load breakers"):
             chosen = played.breaker or breaker
-            seam, materials = _breakers(chosen, played, shapes, Grid(resolution), model, dataset, roughness)
+            materials = {placed.material: preset(placed.material) for placed in played.shapes}
+            seam = scene_breaker(
+                chosen, played, shapes, materials,
+                model=model, dataset=dataset, resolution=resolution, roughness=roughness,
+            )  # fmt: skip
         with stage("world, with the break"):
             rng = np.random.default_rng(played.seed)
             outcome = run_world(played, shapes, seam, rng, materials=materials)
@@ -54,48 +60,6 @@ def shatter(
     _replace(path, json.dumps(report, indent=1) + "\n")
     log.info("%s", _summary(report, outcome))
     log.info("%s", "  ".join(str(out / file) for file in [*files, path.name]))
-
-
-def _throw(name: str, shape: Shape, throw: Throw, material: str, engine: str, seed: int) -> Scene:
-    """The scene of a ball thrown at the standing shape."""
-    if throw.up not in UPRIGHT:
-        raise BadInput(f"--up must be x, y or z, got {throw.up!r}")
-    if not throw.speed > 0 or not throw.radius > 0:
-        raise BadInput(f"--speed and --radius must be positive, got {throw.speed} and {throw.radius}")
-    direction = None
-    if throw.heading is not None:
-        azimuth = np.radians(throw.heading)
-        direction = np.array([-np.cos(azimuth), -np.sin(azimuth), -0.15])
-    return throw_scene(
-        name, shape, np.random.default_rng([seed, 1]), material=material, direction=direction, speed=throw.speed,
-        radius=throw.radius, quat_wxyz=UPRIGHT[throw.up], engine=engine, seed=seed,
-    )  # fmt: skip
-
-
-def _breakers(
-    name: str,
-    scene: Scene,
-    shapes: list[Shape],
-    grid: Grid,
-    model: Path | None,
-    dataset: Path | None,
-    roughness: float,
-) -> tuple[Breaker, dict[str, Material]]:
-    """One breaker that knows every shape of the scene and its fragments, and the materials by name."""
-    if scene.refracture and name not in AGAIN:
-        raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {', '.join(AGAIN)}")
-    materials = {placed.material: preset(placed.material) for placed in scene.shapes}
-    known = {
-        id(shape): make_breaker(
-            name, shape, materials[placed.material], grid, model=model, dataset=dataset, roughness=roughness
-        )
-        for placed, shape in zip(scene.shapes, shapes, strict=True)
-    }
-
-    def breaker(shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
-        return known[id(shape.whole or shape)](shape, impact, rng)
-
-    return breaker, materials
 
 
 def _write(outcome: Outcome, scene: Scene, out: Path, formats: tuple[str, ...] | None, *, film: bool) -> list[str]:

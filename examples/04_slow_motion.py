@@ -1,6 +1,6 @@
 """A glazed pot breaks in slow motion: glaze outside, bare clay inside, and pieces that fit together.
 
-    python examples/slow_motion.py --out DIR
+    python examples/04_slow_motion.py --out DIR
 
 The shipped model breaks the built-in pot, painted with a glaze that is drawn here, as a steel ball strikes it. Three
 tenths of a second last three and a half seconds: slow_motion.mp4 is the film, slow_motion.png four moments of it.
@@ -52,7 +52,7 @@ GAP = 6
 
 
 def slow_motion(
-    out: Path = Path("runs/slow_motion"),
+    out: Path = Path("runs/04_slow_motion"),
     *,
     seed: int = 0,
     speed: float = 22.0,
@@ -181,5 +181,5 @@ if __name__ == "__main__":
     try:
         tyro.cli(slow_motion)
     except BadInput as problem:
-        sys.stderr.write(f"slow_motion.py: {problem}\n")
+        sys.stderr.write(f"04_slow_motion.py: {problem}\n")
         sys.exit(2)

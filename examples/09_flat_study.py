@@ -1,6 +1,6 @@
 """How should a network be shown a fracture pattern? The same small decoder learns four ways in two dimensions.
 
-    python examples/flat_study.py --out DIR
+    python examples/09_flat_study.py --out DIR
 
 Hits of a plate become pictures: labels numbered at random or by place (dice loss), crack lines (binary
 cross-entropy), or the unsigned distance to the nearest crack or side (L2). Predictions are turned back into fragments
@@ -306,5 +306,5 @@ if __name__ == "__main__":
     try:
         tyro.cli(flat_study)
     except BadInput as problem:
-        sys.stderr.write(f"flat_study.py: {problem}\n")
+        sys.stderr.write(f"09_flat_study.py: {problem}\n")
         sys.exit(2)
