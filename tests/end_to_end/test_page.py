@@ -2,7 +2,6 @@
 
 import io
 import runpy
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,27 +11,8 @@ from PIL import Image
 from deepfracture.viewer import write_page
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
-FLAGS = [
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-PATIENCE = 120_000
-"""Milliseconds: a browser without a graphics card draws seconds a picture on a busy machine."""
-
-
-def start_browser(playwright):
-    for name in ("chromium", "chromium-browser", "google-chrome", "chrome"):
-        found = shutil.which(name)
-        if found:
-            return playwright.chromium.launch(executable_path=found, headless=True, args=FLAGS)
-    pytest.skip("no Chromium on PATH (Debian: apt-get install chromium)")
+browser_tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "browser.py"))
+PATIENCE = browser_tools["PATIENCE"]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +22,7 @@ def opened(tmp_path_factory):
     file = tmp_path_factory.mktemp("page") / "page.html"
     write_page(tools["broken_octahedron"](), file)
     with sync_api.sync_playwright() as playwright:
-        browser = start_browser(playwright)
+        browser = browser_tools["start_browser"](playwright)
         page = browser.new_page(viewport={"width": 400, "height": 300})
         page.set_default_timeout(PATIENCE)
         asked, errors = [], []

@@ -5,18 +5,18 @@ from __future__ import annotations
 import io
 import os
 from contextlib import redirect_stdout
-from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..export.camera import frame_action
 from ..export.files import replacing
-from ..export.gltf import surface_glb
 from ..export.motion import KEY_TOL, continuous, exists, floor_height
-from ..export.surface import COLOURS, Surface, track_surfaces
+from ..export.surface import track_surfaces
+from ..extras import need
+from ..progress import track as progress
 from ..types import Recording, Track
+from .bodies import add_floor, add_surface
 
 if TYPE_CHECKING:
     from viser import FrameHandle, SceneApi, ViserServer
@@ -25,16 +25,13 @@ PAGE_RATE = 60
 """Most poses a second that the page holds."""
 PAUSE = 1.5
 """Seconds that the end stands still before the page starts again."""
-FLOOR_WIDTH = 200.0
-"""Side of the drawn floor [m]."""
-TEXTURE_SIDE = 512
-"""Texels along the longer side of a texture at most."""
 
 
 def write_page(recording: Recording, path: str | os.PathLike) -> None:
     """Write a page that plays the recording again and again; the viewer's own bar pauses and rewinds.
 
     Opens a local port while it runs: viser's scene lives in its server."""
+    need("viser", extra="play", to="write a page")
     import viser
 
     with redirect_stdout(io.StringIO()):  # viser prints an address, at which nothing is to be seen
@@ -61,22 +58,9 @@ def _build(server: ViserServer, recording: Recording) -> list[tuple[Track, Frame
     server.initial_camera.fov = float(np.radians(camera.field))
     height = floor_height(recording)
     if height is not None:
-        _floor(scene, height)
+        add_floor(scene, height)
     tracks = [track for track in recording.tracks if track.kind != "floor" and len(track.positions)]
     return [(track, _body(scene, track, f"/{k:03d}_{track.kind}")) for k, track in enumerate(tracks)]
-
-
-def _floor(scene: SceneApi, height: float) -> None:
-    corner = FLOOR_WIDTH / 2
-    scene.add_mesh_simple(
-        "/floor",
-        np.array([[-corner, -corner, 0], [corner, -corner, 0], [corner, corner, 0], [-corner, corner, 0]]),
-        np.array([[0, 1, 2], [0, 2, 3]]),
-        color=COLOURS["floor"],
-        position=(0.0, 0.0, height),
-        cast_shadow=False,
-        receive_shadow=0.3,
-    )
 
 
 def _body(scene: SceneApi, track: Track, name: str) -> FrameHandle:
@@ -88,30 +72,8 @@ def _body(scene: SceneApi, track: Track, name: str) -> FrameHandle:
         visible=exists(track, 0),
     )
     for k, surface in enumerate(track_surfaces(track)):
-        _mesh(scene, surface, f"{name}/{k}_{surface.look}")
+        add_surface(scene, surface, f"{name}/{k}_{surface.look}")
     return frame
-
-
-def _mesh(scene: SceneApi, surface: Surface, name: str) -> None:
-    """One surface; with a texture or colours of its own it travels as glTF."""
-    if surface.colours is None and (surface.uv is None or surface.finish.texture is None):
-        scene.add_mesh_simple(name, surface.vertices, surface.faces, color=surface.base)
-        return
-    if surface.finish.texture is not None:
-        surface = replace(surface, finish=replace(surface.finish, texture=_small(surface.finish.texture)))
-    scene.add_glb(name, surface_glb(surface))
-
-
-@lru_cache(maxsize=8)
-def _small(texture: bytes) -> bytes:
-    """A texture as a JPEG that is small enough to travel with every fragment."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(texture)) as picture:
-        picture.thumbnail((TEXTURE_SIDE, TEXTURE_SIDE))
-        small = io.BytesIO()
-        picture.convert("RGB").save(small, format="JPEG", quality=85)
-    return small.getvalue()
 
 
 def _recorded(server: ViserServer, recording: Recording, bodies: list[tuple[Track, FrameHandle]]) -> str:
@@ -119,7 +81,7 @@ def _recorded(server: ViserServer, recording: Recording, bodies: list[tuple[Trac
     serializer = server.get_scene_serializer()
     stride = max(1, round(1 / (PAGE_RATE * recording.frame_time)))
     quats = [continuous(track.quats_wxyz) for track, _ in bodies]
-    for frame in range(0, recording.frames, stride):
+    for frame in progress(range(0, recording.frames, stride), name="page"):
         for (track, handle), turns in zip(bodies, quats, strict=True):
             if handle.visible != exists(track, frame):
                 handle.visible = exists(track, frame)

@@ -1,0 +1,139 @@
+"""The bodies of a world in a scene of viser's, and their movement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepfracture.export.motion import KEY_TOL
+from deepfracture.export.surface import COLOURS, OUTER_CREASE, surfaces
+from deepfracture.types import Floats, Floats32, Ints, Mesh, Shape
+from deepfracture.viewer import add_surface
+from deepfracture.world import Pose
+
+if TYPE_CHECKING:
+    from viser import SceneApi, SceneNodeHandle
+
+
+class Stand:
+    """What a client's browser has: one node for each body that was ever there, sent once, then only moved."""
+
+    def __init__(self, scene: SceneApi) -> None:
+        self._scene = scene
+        self._nodes: dict[int, SceneNodeHandle] = {}
+        self._places: dict[int, tuple[Floats, Floats]] = {}
+        self._world = 0
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+    def show(self, poses: Sequence[Pose]) -> int:
+        """Move the bodies there, and hide those that are not among them. Returns how many messages that took.
+
+        To be called within `client.atomic()`, so that nobody sees half of it."""
+        sent = 0
+        for pose in poses:
+            if pose.number not in self._nodes:
+                self._nodes[pose.number] = self._add(pose)
+                self._places[pose.number] = pose.position, pose.quat_wxyz
+                sent += 1
+                continue
+            sent += self._move(pose)
+        there = {pose.number for pose in poses}
+        for number, node in self._nodes.items():
+            if node.visible != (number in there):
+                node.visible = number in there
+                sent += 1
+        return sent
+
+    def clear(self) -> None:
+        """Take everything away: a world begins anew."""
+        for node in self._nodes.values():
+            node.remove()
+        self._nodes.clear()
+        self._places.clear()
+        self._world += 1  # names are never used twice, so no late message finds another body
+
+    def _move(self, pose: Pose) -> int:
+        node = self._nodes[pose.number]
+        position, quat = self._places[pose.number]
+        sent = 0
+        if np.abs(position - pose.position).max() > KEY_TOL:
+            node.position = pose.position
+            sent += 1
+        if np.abs(quat - pose.quat_wxyz).max() > KEY_TOL:
+            node.wxyz = pose.quat_wxyz
+            sent += 1
+        if sent:
+            self._places[pose.number] = pose.position, pose.quat_wxyz
+        return sent
+
+    def _add(self, pose: Pose) -> SceneNodeHandle:
+        name = f"/world{self._world}/{pose.number}_{pose.kind}"
+        if pose.whole is not None and pose.whole.appearance is not None:
+            return self._add_painted(pose, name)
+        node = None
+        for look, vertices, faces in plain_surfaces(pose.mesh, pose.source, pose.whole, pose.kind):
+            if node is not None:
+                self._scene.add_mesh_simple(f"{name}/{look}", vertices, faces, color=COLOURS[look])
+                continue
+            node = self._scene.add_mesh_simple(
+                name, vertices, faces, color=COLOURS[look], position=pose.position, wxyz=pose.quat_wxyz
+            )
+        assert node is not None
+        return node
+
+    def _add_painted(self, pose: Pose, name: str) -> SceneNodeHandle:
+        """With the paint of the user's file: slower, as each surface travels as glTF."""
+        frame = self._scene.add_frame(name, show_axes=False, position=pose.position, wxyz=pose.quat_wxyz)
+        for k, surface in enumerate(surfaces(pose.mesh, pose.source, whole=pose.whole)):
+            add_surface(self._scene, surface, f"{name}/{k}_{surface.look}")
+        return frame
+
+
+def plain_surfaces(mesh: Mesh, source: Ints | None, whole: Shape | None, kind: str) -> list[tuple[str, Floats32, Ints]]:
+    """Key into COLOURS, vertices and faces of what a body without paint shows; the browser makes the normals.
+
+    What `export.surface.surfaces` says of each corner would take 10 ms a fragment, time that one would wait
+    between the blow and the first movement. Here corners of one vertex share it, unless a crease of the whole
+    parts the regions that their faces come from."""
+    look = kind if kind in COLOURS else "outer"
+    if whole is None:
+        return [(look, mesh.vertices.astype(np.float32), mesh.faces)]
+    source = np.arange(len(mesh.faces)) if source is None else source
+    cracked = source < 0
+    parts = []
+    if not cracked.all():
+        region = _regions(whole)[source[~cracked]]
+        parts.append((look, *_shared(mesh, mesh.faces[~cracked], region)))
+    if cracked.any():
+        parts.append(("inner", *_shared(mesh, mesh.faces[cracked], np.zeros(int(cracked.sum()), np.int64))))
+    return parts
+
+
+def _shared(mesh: Mesh, faces: Ints, region: Ints) -> tuple[Floats32, Ints]:
+    """Vertices and faces of part of a mesh, a vertex for each region that meets there."""
+    corner = faces * (int(region.max()) + 1) + region[:, None]
+    keys, faces = np.unique(corner, return_inverse=True)
+    return mesh.vertices[keys // (int(region.max()) + 1)].astype(np.float32), faces.reshape(-1, 3)
+
+
+@lru_cache(maxsize=8)
+def _regions(shape: Shape) -> Ints:
+    """For each face the part of the surface, bounded by creases, that it belongs to, shape (m,)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    faces = shape.mesh.faces
+    area = shape.mesh.area_vectors
+    normals = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
+    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    order = np.lexsort(sides.T)
+    same = (sides[order][1:] == sides[order][:-1]).all(axis=1)
+    left, right = order[:-1][same] // 3, order[1:][same] // 3
+    smooth = np.einsum("ni,ni->n", normals[left], normals[right]) >= np.cos(np.radians(OUTER_CREASE))
+    links = coo_matrix((np.ones(int(smooth.sum()), np.int8), (left[smooth], right[smooth])), (len(faces),) * 2)
+    return connected_components(links, directed=False)[1].astype(np.int64)

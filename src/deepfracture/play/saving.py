@@ -1,0 +1,60 @@
+"""What a player can take home."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+from deepfracture.export import write_film, write_glb
+from deepfracture.export.usd import write_usd
+from deepfracture.types import BadInput, Recording
+from deepfracture.world import Scene, save_scene
+
+from .library import Entry
+
+FILES = {"glb": "deepfracture.glb", "usd": "deepfracture.usdc", "film": "deepfracture.mp4", "scene": "scene.toml"}
+"""Kinds of files that can be saved, and what they are called."""
+
+
+def make(kind: str, recording: Recording, scene: Scene, entry: Entry) -> tuple[str, bytes]:
+    """Name and content of a file. BadInput in one line where something that it takes is not installed."""
+    if kind not in FILES:
+        raise BadInput(f"kind must be one of {', '.join(FILES)}, got {kind!r}")
+    if kind == "scene" and entry.file is not None:
+        return "scene.zip", _with_mesh(scene, entry.file, entry.model)
+    name = FILES[kind]
+    if kind == "usd" and any(track.whole is not None and track.whole.appearance for track in recording.tracks):
+        name = "deepfracture.usdz"  # its textures travel in it
+    writers = {
+        "glb": lambda path: write_glb(recording, path),
+        "usd": lambda path: write_usd(recording, path, gravity=scene.gravity),
+        "film": lambda path: write_film(recording, path),
+        "scene": lambda path: save_scene(scene, path),
+    }
+    with tempfile.TemporaryDirectory(prefix="deepfracture-save-") as folder:
+        path = Path(folder) / name
+        writers[kind](path)
+        return name, path.read_bytes()
+
+
+def _with_mesh(scene: Scene, mesh: Path, model: Path | None) -> bytes:
+    """A zip with the scene file, the mesh beside it, and how to replay it."""
+    name = f"mesh{mesh.suffix.lower()}"
+    placed = tuple(replace(one, shape=name) for one in scene.shapes)
+    command = "deepfracture shatter --scene scene.toml"
+    if model is not None:
+        command += " --model model.safetensors"
+    held = io.BytesIO()
+    with tempfile.TemporaryDirectory(prefix="deepfracture-save-") as folder:
+        file = Path(folder) / "scene.toml"
+        save_scene(replace(scene, shapes=placed), file)
+        with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as packed:
+            packed.write(file, file.name)
+            packed.write(mesh, name)
+            if model is not None:
+                packed.write(model, "model.safetensors")
+            packed.writestr("replay.txt", f"Unpack this folder; the same again, frame by frame:\n\n    {command}\n")
+    return held.getvalue()

@@ -1,0 +1,132 @@
+"""The page: a server on this machine, a world for each tab."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepfracture.extras import need
+from deepfracture.progress import log
+from deepfracture.types import BadInput
+from deepfracture.viewer import add_floor
+from deepfracture.world import UPRIGHT
+
+from .guard import forbid_sharing, is_loopback, stranger, turn_away
+from .library import Library
+from .player import Player
+
+if TYPE_CHECKING:
+    from viser import ClientHandle, ViserServer
+
+BRAND = (189, 94, 61)
+BACKDROP = (255, 255, 255)
+"""Colour into which the floor fades."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How the page is served."""
+
+    shape: str | None = None
+    """Built-in shape or mesh file to begin with."""
+    model: Path | None = None
+    """Its trained weights, in the place of the shipped ones."""
+    up: str | None = None
+    """Axis of the file that points up; None: as usual for its kind of file."""
+    host: str = "127.0.0.1"
+    port: int = 8080
+    upload_limit: int = 64_000_000
+    """Largest file that can be uploaded [bytes]."""
+    most_tabs: int = 8
+    """Tabs with a world of their own, at once."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port < 65536:
+            raise BadInput(f"--port must be from 0 to 65535, got {self.port}")
+        if self.up is not None and self.up not in UPRIGHT:
+            raise BadInput(f"--up must be x, y or z, got {self.up!r}")
+        if self.upload_limit <= 0:
+            raise BadInput(f"--upload-limit must be positive, got {self.upload_limit / 1e6:g}")
+
+
+def serve(options: Options) -> None:
+    """Serve the page until Ctrl+C."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # uploads are removed then, too
+    with page(options) as url:
+        log.warning("Open %s in a browser; Ctrl+C ends it.", url)
+        if not is_loopback(options.host):
+            log.warning("Anybody who reaches %s can use it, and upload meshes to it.", options.host)
+        with suppress(KeyboardInterrupt):  # which is how it ends
+            threading.Event().wait()
+
+
+@contextmanager
+def page(options: Options) -> Iterator[str]:
+    """The page while the context lasts; its address. BadInput for a shape or model that cannot be used."""
+    need("viser", extra="play", to="play in the browser")
+    import viser
+
+    library = Library(options.shape, model=options.model, up=options.up)
+    if options.model is not None:
+        library.breaker(library.entry(library.first), "learned", "plaster")  # complains of what does not fit
+    folder = Path(tempfile.mkdtemp(prefix="deepfracture-play-"))
+    players: dict[int, Player] = {}
+    with redirect_stdout(io.StringIO()):  # viser prints an address of its own
+        server = viser.ViserServer(host=options.host, port=options.port, label="deepfracture", verbose=False)
+    try:
+        forbid_sharing(server)
+        _furnish(server)
+        _let_in(server, library, folder, players, options)
+        yield f"http://{'localhost' if options.host == '0.0.0.0' else options.host}:{server.get_port()}"
+    finally:
+        for player in list(players.values()):
+            player.stop()
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _furnish(server: ViserServer) -> None:
+    """What all tabs share: the floor, the light, the looks of the panel."""
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND, control_width="medium")
+    server.scene.set_up_direction("+z")
+    server.scene.configure_fog(10.0, 45.0, color=BACKDROP)
+    add_floor(server.scene, 0.0)
+
+
+def _let_in(server: ViserServer, library: Library, folder: Path, players: dict[int, Player], options: Options) -> None:
+    lock = threading.Lock()
+
+    @server.on_client_connect
+    def _(client: ClientHandle) -> None:
+        why = stranger(server, client)
+        if why:
+            log.warning("play: a connection was turned away: %s", why)
+            turn_away(server, client)
+            return
+        with lock:
+            if len(players) >= options.most_tabs:
+                client.add_notification("Full", f"{options.most_tabs} tabs play already; close one and reload.")
+                return
+            own = folder / f"tab_{client.client_id}"
+            players[client.client_id] = Player(client, library, own, upload_limit=options.upload_limit)
+        player = players[client.client_id]
+
+        @client.scene.on_click()
+        def _(event) -> None:
+            player.click(event.ray_origin, event.ray_direction)
+
+    @server.on_client_disconnect
+    def _(client: ClientHandle) -> None:
+        with lock:
+            player = players.pop(client.client_id, None)
+        if player is not None:
+            player.stop()

@@ -1,0 +1,219 @@
+"""One player's world: what stands in it, what was thrown at it, what came of that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from deepfracture.breakers import AGAIN
+from deepfracture.fracture import critical_stress
+from deepfracture.fracture import material as preset
+from deepfracture.progress import collect_stages
+from deepfracture.types import BadInput, Floats, Recording
+from deepfracture.world import GRAVITY, UPRIGHT, Ball, Collision, Floor, Live, Pose, Scene, standing, throw_scene
+from deepfracture.world.engine import rotation
+
+from .aim import Obstacle, launch
+from .library import Entry, Library
+
+GENERATIONS = 3
+"""Of fragments that may break again: where a ball hits them, as to ask about all that fall takes too long."""
+MOST_BALLS = 60
+"""Balls in one world ..."""
+MOST_SECONDS = 120.0
+"""... and the time that it may last [s]: what was recorded is kept in memory, and all that lies about is moved."""
+REHEARSAL_SPEED = 12.0
+"""Of the ball that breaks a shape once before anybody does [m/s]."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the world is made of; a change begins it anew."""
+
+    breaker: str
+    material: str = "plaster"
+    up: str = "z"
+    """Axis of the file that points up."""
+    gravity: float = GRAVITY
+    """[m/s^2]"""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        preset(self.material)
+        if self.up not in UPRIGHT:
+            raise BadInput(f"up must be x, y or z, got {self.up!r}")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """How a ball is thrown."""
+
+    radius: float = 0.2
+    """[m]"""
+    speed: float = 14.0
+    """[m/s]"""
+
+
+@dataclass(frozen=True)
+class Readout:
+    """What came of a shot: its collision that broke something, or else the strongest."""
+
+    body: str
+    """What was struck."""
+    impulse: float
+    """Of the strongest contact [N s]."""
+    stress: float
+    """sigma_1 [Pa]."""
+    strength: float
+    """sigma_0 of the material [Pa]."""
+    fragments: int
+    """That it broke into; 0: it held."""
+    pieces: int
+    """Fragments in the world now."""
+    milliseconds: Mapping[str, float] = field(default_factory=dict)
+    """What each stage of the break took."""
+
+
+class Session:
+    """The world of one player. Not for several threads at once."""
+
+    def __init__(self, library: Library, entry: Entry, setup: Setup) -> None:
+        """BadInput where the setup does not fit the shape."""
+        self.library, self.entry, self.setup = library, entry, setup
+        self._live = self._begin()
+        self._since: list[tuple[Collision, dict[str, float]]] = []
+        """The collisions since the last shot, each with the milliseconds of its stages."""
+
+    @property
+    def frames(self) -> int:
+        """Frames written down so far; the last one is now."""
+        return self._live.frames
+
+    @property
+    def frame_rate(self) -> int:
+        """Frames a second of the world's time."""
+        return self._live.scene().frame_rate
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves and nothing will, until the next shot."""
+        return self._live.at_rest
+
+    def at(self, frame: float) -> list[Pose]:
+        """Where everything that can move was at a frame, or between two."""
+        return self._live.at(frame)
+
+    def recording(self) -> Recording:
+        """All that has happened."""
+        return self._live.outcome().recording
+
+    def scene(self) -> Scene:
+        """What `simulate` needs to repeat it."""
+        return self._live.scene()
+
+    @property
+    def full(self) -> str:
+        """Why no more balls can be thrown; "" if they can."""
+        if len(self._live.scene().balls) >= MOST_BALLS:
+            return f"{MOST_BALLS} balls are enough for one world: reset it"
+        if self.frames > MOST_SECONDS * self.frame_rate:
+            return f"this world has lasted {MOST_SECONDS:.0f} s: reset it"
+        return ""
+
+    def shoot(self, origin: Floats, direction: Floats, shot: Shot) -> Ball | None:
+        """Throw a ball along a ray, from just before what it will meet; it enters now.
+
+        None if there is no room for it, or no more balls can be thrown."""
+        if self.full:
+            return None
+        ball = launch(
+            np.asarray(origin, float), np.asarray(direction, float) / np.linalg.norm(direction), radius=shot.radius,
+            speed=shot.speed, obstacles=self._obstacles(), floor=0.0, gravity=self.setup.gravity,
+        )  # fmt: skip
+        if ball is None:
+            return None
+        self._since = []
+        return self._live.throw(ball)
+
+    def step(self) -> bool:
+        """One frame of the world's time; False if nothing moves. Waits for a break to be computed."""
+        known = len(self._live.collisions)
+        with collect_stages() as stages:
+            moved = self._live.advance()
+        taken: dict[str, float] = {}
+        for done in stages:
+            taken[done.stage] = taken.get(done.stage, 0.0) + 1e3 * done.seconds
+        self._since += [(collision, taken) for collision in self._live.collisions[known:]]
+        return moved
+
+    def reset(self, entry: Entry | None = None, setup: Setup | None = None) -> None:
+        """Begin anew, with another shape or setup where given. BadInput, and the world as it was, if they do not
+        fit."""
+        former = self._live, self.entry, self.setup
+        self.entry, self.setup = entry or self.entry, setup or self.setup
+        try:
+            self._live = self._begin()
+        except BadInput:
+            _, self.entry, self.setup = former
+            raise
+        former[0].close()
+        self._since = []
+
+    def close(self) -> None:
+        """Release the engine."""
+        self._live.close()
+
+    def readout(self) -> Readout | None:
+        """What the last shot did; None while it has hit nothing."""
+        if not self._since:
+            return None
+        broke = [known for known in self._since if known[0].fragments is not None]
+        main, taken = max(broke or self._since, key=lambda known: float(known[0].impact.magnitude[0]))
+        material = preset(self.setup.material)
+        area = float(np.linalg.norm(self._live.mesh(main.body).area_vectors, axis=1).sum())
+        return Readout(
+            body=main.body,
+            impulse=float(main.impact.magnitude[0]),
+            stress=critical_stress(main.impact, material, area),
+            strength=material.strength,
+            fragments=0 if main.fragments is None else len(main.fragments),
+            pieces=sum(pose.kind == "fragment" for pose in self.at(self.frames - 1)),
+            milliseconds=taken if main.fragments is not None else {},
+        )
+
+    def _begin(self) -> Live:
+        setup, shape = self.setup, self.entry.shape
+        breaker = self.library.breaker(self.entry, setup.breaker, setup.material)
+        placed = standing(
+            self.entry.source, shape, material=setup.material, quat_wxyz=UPRIGHT[setup.up], repair=self.entry.repair
+        )
+        scene = Scene(
+            (placed,), floor=Floor(), gravity=setup.gravity, seed=setup.seed, breaker=setup.breaker,
+            refracture=GENERATIONS if setup.breaker in AGAIN else 0, again="balls",
+        )  # fmt: skip
+        materials = {setup.material: preset(setup.material)}
+        return Live(scene, [shape], breaker, np.random.default_rng(setup.seed), materials=materials)
+
+    def _obstacles(self) -> list[Obstacle]:
+        return [Obstacle(pose.mesh, pose.position, rotation(pose.quat_wxyz)) for pose in self.at(self.frames - 1)]
+
+
+def rehearse(library: Library, entry: Entry, setup: Setup) -> int:
+    """Break a shape once in a world of its own, so that all is compiled, loaded and in the caches.
+
+    Returns the number of fragments, 0 if it held."""
+    shape = entry.shape
+    breaker = library.breaker(entry, setup.breaker, setup.material)
+    scene = throw_scene(
+        entry.source, shape, np.random.default_rng(0), material=setup.material, speed=REHEARSAL_SPEED,
+        quat_wxyz=UPRIGHT[setup.up],
+    )  # fmt: skip
+    scene = replace(scene, gravity=setup.gravity)
+    with Live(
+        scene, [shape], breaker, np.random.default_rng(0), materials={setup.material: preset(setup.material)}
+    ) as live:
+        while not live.at_rest and not live.collisions:
+            live.advance()
+        return sum(len(collision.fragments or ()) for collision in live.collisions)
