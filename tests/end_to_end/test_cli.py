@@ -145,7 +145,7 @@ def test_a_soft_touch_breaks_nothing_and_says_so(tmp_path: Path) -> None:
         (["bar", "--breaker", "physical", "--resolution", "50"], "resolution must be one of"),
         (["bar", "--breaker", "physical", "--up", "w"], "up must be x, y or z"),
         (["bar", "--breaker", "physical", "--engine", "unreal"], "unreal"),
-        (["bar", "--breaker", "physical", "--speed", "-3"], "--speed and --radius must be positive"),
+        (["bar", "--breaker", "physical", "--speed", "-3"], "speed and radius must be positive"),
         (["--scene", "none.toml"], "none.toml"),
         (["bar", "--formats", "glb", "usd-a"], "got 'usd-a'; did you mean 'usda'?"),
     ],
