@@ -43,6 +43,7 @@ def picture_at(page, seconds):
     """The canvas, stopped at a time."""
     clock(page).fill(f"{seconds}")
     page.wait_for_timeout(1500)
+    browser_tools["close_notices"](page)
     shot = page.screenshot(clip={"x": 0, "y": 0, "width": 400, "height": 250}, timeout=PATIENCE)
     return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
 
@@ -62,10 +63,6 @@ def test_the_page_plays_by_itself(opened):
 @pytest.mark.browser
 def test_fragments_move(opened):
     page, _, _ = opened
-    notice = page.locator(".mantine-Notification-closeButton")
-    if notice.count():  # it says that there is no graphics card, in front of the fragments
-        notice.first.click()
-        notice.first.wait_for(state="detached")
     whole, early, late = (picture_at(page, seconds) for seconds in (0.2, 0.7, 1.4))
     columns = [np.flatnonzero(clay(picture).any(axis=0)) for picture in (whole, early, late)]
     assert all(len(found) > 40 for found in columns)
