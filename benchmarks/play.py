@@ -1,6 +1,6 @@
 """What the page of `deepfracture play` costs, seen from the other end of its connection, as a browser would.
 
-python benchmarks/play.py [latency] [stream] [memory]
+python benchmarks/play.py --what latency stream memory
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from common import start
 
 from deepfracture.learn import embedded_model
 from deepfracture.play import Options, page
+from deepfracture.types import BadInput
 
 SHAPES = ("pot", "mug", "base", "bunny")
 SHOTS = 6
@@ -174,6 +176,18 @@ def say(line: str) -> None:
     sys.stdout.flush()
 
 
+def play(what: tuple[str, ...] = ("latency", "stream", "memory")) -> None:
+    """Measure the page of `deepfracture play`.
+
+    Args:
+        what: any of latency, stream and memory.
+    """
+    jobs = {"latency": latency, "stream": stream, "memory": memory}
+    if unknown := [name for name in what if name not in jobs]:
+        raise BadInput(f"what must be any of {', '.join(jobs)}, got {unknown[0]!r}")
+    for name in what:
+        jobs[name]()
+
+
 if __name__ == "__main__":
-    for name in sys.argv[1:] or ("latency", "stream", "memory"):
-        {"latency": latency, "stream": stream, "memory": memory}[name]()
+    start(play)

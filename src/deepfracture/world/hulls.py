@@ -11,7 +11,6 @@ overlap.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from weakref import WeakKeyDictionary
@@ -20,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from deepfracture.threads import spread
 from deepfracture.types import Floats, Ints, Mesh
 from deepfracture.world.apart import apart
 from deepfracture.world.convex import clip
@@ -69,8 +69,8 @@ def whole_hulls(mesh: Mesh) -> Hulls:
 
 def piece_hulls(meshes: Sequence[Mesh]) -> list[Hulls]:
     """Parts of each fragment, slightly shrunk towards their own centres, that do not overlap those of another."""
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        found = list(pool.map(_piece, meshes))
+    shared = spread(lambda first, last: [_piece(mesh) for mesh in meshes[first:last]], len(meshes), least=1)
+    found = [piece for part in shared for piece in part]
     each = np.concatenate([starts[1:] - starts[:-1] for _, starts, _ in found])
     starts = np.concatenate([[0], np.cumsum(each)])
     counts = np.array([len(starts) - 1 for _, starts, _ in found])
