@@ -39,7 +39,9 @@ class CentroidalVoronoi:
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         surface = self._surface(shape)
         with stage("centroidal voronoi"):
-            inside = self.grid.to_world(np.argwhere(surface > 0))
+            inside = self._surface.inside(shape)
+            if not len(inside):
+                return None
             count = round(float(np.clip(self.count(shape, impact), CELLS_AT_THRESHOLD // 2, MOST_CELLS)))
             pattern = self._cells(spread(inside, impact.position[0], count, rng), surface)
             if pattern.count > count:  # the body's arms cut cells into several parts: so many sites too many

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deepfracture.geometry import signed_distance
 from deepfracture.progress import stage
-from deepfracture.types import Floats32, Grid, Shape
+from deepfracture.types import BadInput, Floats, Floats32, Grid, Shape
 
 
 class Surface:
@@ -20,3 +20,17 @@ class Surface:
             with stage("distance field"):
                 self._last = shape, signed_distance(shape.mesh, self.grid)
         return self._last[1]
+
+    def inside(self, shape: Shape) -> Floats:
+        """Voxel centres in the body [m], shape (n, 3); none at all only where the shape is a fragment.
+
+        Raises:
+            BadInput: A whole shape is so thin that it runs between them.
+        """
+        points = self.grid.centres()[self(shape) > 0]
+        if not len(points) and shape.whole is None:
+            raise BadInput(
+                f"{shape.name}: thinner than a voxel of {self.grid.spacing:.3g} m everywhere (it is two metres long); "
+                "raise --resolution, or check the file's units and coordinates"
+            )
+        return points

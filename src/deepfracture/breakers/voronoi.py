@@ -34,7 +34,9 @@ class Voronoi:
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         surface = self._surface(shape)
         with stage("voronoi"):
-            inside = self.grid.centres()[surface > 0]
+            inside = self._surface.inside(shape)
+            if not len(inside):
+                return None
             count = int(np.clip(count_by_stress(shape, impact, self.material), CELLS_AT_THRESHOLD, MOST_CELLS))
             away = np.linalg.norm(inside - impact.position[0], axis=1)
             near = np.exp(-0.5 * (away / NEAR) ** 2) + 1e-12

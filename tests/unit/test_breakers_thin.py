@@ -1,0 +1,24 @@
+"""What runs between the voxels cannot be divided, and says so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepfracture.api import hit
+from deepfracture.breakers import make_breaker
+from deepfracture.fracture import material
+from deepfracture.geometry import builtin
+from deepfracture.types import BadInput, Grid, Mesh, Shape
+
+
+@pytest.mark.parametrize("name", ["voronoi", "cvd"])
+def test_a_shape_thinner_than_a_voxel_is_refused_and_a_splinter_stays_whole(name: str) -> None:
+    bar = builtin("bar").mesh
+    shape = Shape("needle", Mesh(bar.vertices * [1, 0.01, 0.01], bar.faces))
+    blow = hit(shape, (0, 0, 0.1), (0, 0, -1), impulse=500, speed=10)
+    breaker = make_breaker(name, shape, material("plaster"), Grid(32))
+    with pytest.raises(BadInput, match=r"needle: thinner than a voxel of 0\.0625 m everywhere"):
+        breaker(shape, blow, np.random.default_rng(0))
+    splinter = replace(shape, whole=builtin("pot"))
+    assert breaker(splinter, blow, np.random.default_rng(0)) is None
