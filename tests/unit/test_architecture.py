@@ -84,4 +84,15 @@ def test_importing_the_program_loads_nothing_heavy() -> None:
     code = "import sys, deepfracture, deepfracture.cli; print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     loaded = {name.split(".")[0] for name in out.split()}
-    assert not loaded & {"torch", "numba", "scipy", "pybullet", "viser", "zarr", "manifold3d", "matplotlib"}
+    assert not loaded & {
+        "torch",
+        "numba",
+        "scipy",
+        "pybullet",
+        "pyvista",
+        "viser",
+        "zarr",
+        "manifold3d",
+        "matplotlib",
+        "pxr",
+    }
