@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from deepfracture.api import hit
 from deepfracture.breakers import make_breaker
 from deepfracture.fracture import material
-from deepfracture.geometry import builtin
+from deepfracture.geometry import builtin, signed_distance
 from deepfracture.types import BadInput, Grid, Mesh, Shape
 
 
@@ -18,7 +19,23 @@ def test_a_shape_thinner_than_a_voxel_is_refused_and_a_splinter_stays_whole(name
     shape = Shape("needle", Mesh(bar.vertices * [1, 0.01, 0.01], bar.faces))
     blow = hit(shape, (0, 0, 0.1), (0, 0, -1), impulse=500, speed=10)
     breaker = make_breaker(name, shape, material("plaster"), Grid(32))
-    with pytest.raises(BadInput, match=r"needle: thinner than a voxel of 0\.0625 m everywhere"):
+    with pytest.raises(BadInput, match=r"needle: thinner than a voxel of 0\.0625 m"):
         breaker(shape, blow, np.random.default_rng(0))
     splinter = replace(shape, whole=builtin("pot"))
     assert breaker(splinter, blow, np.random.default_rng(0)) is None
+
+
+def test_a_skin_that_a_few_voxel_centres_happen_to_lie_in_is_refused(voxels: int = 32) -> None:
+    made = trimesh.creation.icosphere(3)
+    ball = Mesh(made.vertices, made.faces)
+    skin = Shape("skin", joined(ball, Mesh(ball.vertices * (1 - 1e-4), ball.faces[:, ::-1])))
+    blow = hit(skin, (0, 0, 1), (0, 0, -1), impulse=3000, speed=20)
+    assert (signed_distance(skin.mesh, Grid(voxels)) > 0).any()
+    with pytest.raises(BadInput, match="skin: thinner than a voxel"):
+        make_breaker("voronoi", skin, material("plaster"), Grid(voxels))(skin, blow, np.random.default_rng(0))
+
+
+def joined(one: Mesh, other: Mesh) -> Mesh:
+    return Mesh(
+        np.concatenate([one.vertices, other.vertices]), np.concatenate([one.faces, other.faces + len(one.vertices)])
+    )

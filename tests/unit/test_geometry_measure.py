@@ -119,6 +119,15 @@ def test_distance_to_slivers_and_triangles_without_area(height):
     assert np.linalg.norm(offset(0.0, 0.6, 0.8, point)) == pytest.approx(1)
 
 
+def test_distance_to_a_triangle_flat_on_its_side_that_rounding_gives_an_area():
+    a, b = (
+        np.array([0.13997230620387197, 0.513059887425004, 0.4887891192256066]),
+        np.array([0.16026251910904496, 0.4943416608899148, 0.44035849172965486]),
+    )
+    on_the_side = 0.14943838985233657, 0.5043271895987091, 0.4661945622750766
+    assert np.linalg.norm(offset(*on_the_side, np.array([a, b, (a + b) / 2]))) < 1e-12
+
+
 def test_bad_queries_say_what_is_wrong():
     mesh = box((1, 1, 1), 0.5)
     with pytest.raises(BadInput, match=r"shape \(n, 3\)"):

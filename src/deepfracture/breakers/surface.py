@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from deepfracture.geometry import signed_distance
 from deepfracture.progress import stage
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Shape
+
+THINNEST = 0.02
+"""Mean thickness [voxels] below which hardly a voxel centre lies in a body, so that no pattern can be drawn on them."""
 
 
 class Surface:
@@ -22,15 +27,22 @@ class Surface:
         return self._last[1]
 
     def inside(self, shape: Shape) -> Floats:
-        """Voxel centres in the body [m], shape (n, 3); none at all only where the shape is a fragment.
+        """Voxel centres in the body [m], shape (n, 3); too few for a pattern only where the shape is a fragment.
 
         Raises:
             BadInput: A whole shape is so thin that it runs between them.
         """
         points = self.grid.centres()[self(shape) > 0]
-        if not len(points) and shape.whole is None:
-            raise BadInput(
-                f"{shape.name}: thinner than a voxel of {self.grid.spacing:.3g} m everywhere (it is two metres long); "
-                "raise --resolution, or check the file's units and coordinates"
-            )
+        if shape.whole is None:
+            self._refuse_thin(shape, len(points))
         return points
+
+    def _refuse_thin(self, shape: Shape, count: int) -> None:
+        """A sheet of area A/2 and thickness t holds A t / 2 h^3 voxel centres of spacing h."""
+        h, area = self.grid.spacing, float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
+        thickness = 2 * count * h**3 / area
+        if thickness < THINNEST * h:
+            raise BadInput(
+                f"{shape.name}: thinner than a voxel of {h:.3g} m (it is two metres long) and lost between their centres; "
+                "raise --resolution, make it a solid, or check the file's units and coordinates"
+            )

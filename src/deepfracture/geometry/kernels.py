@@ -15,6 +15,9 @@ LEAF = 4
 SLIVER = 1e-8
 """Squared sine between two sides below which a triangle is a sliver: weights then keep < 8 digits."""
 
+FLAT = 1e-16
+"""Squared sine below which only the sides count: 1e-8 of their length is as wide as its normal is then off."""
+
 STACK = 128
 """Scratch entries for a walk through the tree, which is balanced: enough for any mesh in memory."""
 
@@ -133,8 +136,8 @@ def _from_sides(px: float, py: float, pz: float, corners: Floats):  # pragma: no
 def offset(px: float, py: float, pz: float, corners: Floats):  # pragma: no cover
     """Vector from the nearest point of a triangle (3, 3) to p (Ericson 2005, section 5.1.5).
 
-    Slivers and triangles without area are measured by their sides as well: their barycentric
-    weights are lost to rounding."""
+    Slivers are measured by their sides as well, and triangles without area by nothing else: barycentric
+    weights and the normal are lost to rounding."""
     a, b, c = corners[0], corners[1], corners[2]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -151,7 +154,7 @@ def offset(px: float, py: float, pz: float, corners: Floats):  # pragma: no cove
         return px - c[0], py - c[1], pz - c[2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     nn = nx * nx + ny * ny + nz * nz
-    sliver = nn < SLIVER * uu * vv
+    sliver = nn <= SLIVER * uu * vv
     tc, tb, ta = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
     if not sliver:
         if tc <= 0 and d1 >= 0 and d3 <= 0:
@@ -163,7 +166,7 @@ def offset(px: float, py: float, pz: float, corners: Floats):  # pragma: no cove
         if ta <= 0 and d4 >= d3 and d5 >= d6:
             t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
             return wx - ux - t * (vx - ux), wy - uy - t * (vy - uy), wz - uz - t * (vz - uz)
-    if nn > 0 and (not sliver or (ta > 0 and tb > 0 and tc > 0)):
+    if not sliver or (nn > FLAT * uu * vv and ta > 0 and tb > 0 and tc > 0):
         t = (nx * wx + ny * wy + nz * wz) / nn
         return t * nx, t * ny, t * nz
     return _from_sides(px, py, pz, corners)
