@@ -43,6 +43,6 @@ class Surface:
         thickness = 2 * count * h**3 / area
         if thickness < THINNEST * h:
             raise BadInput(
-                f"{shape.name}: thinner than a voxel of {h:.3g} m (it is two metres long) and lost between their centres; "
+                f"{shape.name}: thinner than a voxel of {h:.3g} m (it is two metres long) and lost between them; "
                 "raise --resolution, make it a solid, or check the file's units and coordinates"
             )
