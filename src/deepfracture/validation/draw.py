@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
+from deepfracture.files import replacing
 from deepfracture.validation.report import Plot
 
 
@@ -24,9 +24,7 @@ def draw(plot: Plot, folder: Path) -> Path:
     axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=2)  # beside the axes, so that it hides nothing
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{plot.name}.png"
-    temporary = folder / f".{plot.name}.{os.getpid()}.png"
-    figure.savefig(temporary)
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary)
     return path

@@ -244,22 +244,34 @@ def _check_cracks(meshes: Sequence[Mesh], inner: np.ndarray, voxel: float) -> Cr
 
 
 def _partners(faces: Ints, owner: Ints, count: int) -> Ints:
-    """For each face the one that has its corners in opposite order, in another fragment; -1 where none or several."""
+    """For each face one that has its corners in opposite order, in another fragment, and belongs to no other face; -1
+    where there is none.
+
+    Faces without width may have the same corners several times: then as many in the one fragment as mirrored in the
+    other, and in no third."""
     first = np.argmin(faces, axis=1)[:, None]
     a, b, c = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1).T
+    # A face with two corners in one place looks the same from both sides.
+    flat = (a == b) | (b == c) | (c == a)
+    b, c = np.where(flat, np.minimum(b, c), b), np.where(flat, np.maximum(b, c), c)
     _, key = np.unique(np.concatenate([(a * count + b) * count + c, (a * count + c) * count + b]), return_inverse=True)
-    own, mirrored = key[: len(faces)], key[len(faces) :]
+    own, mirrored = key[: len(faces)], np.where(flat, key[: len(faces)], key[len(faces) :])
     times = np.bincount(own, minlength=len(key))
     holder = np.full(len(key), -1)
     holder[own] = np.arange(len(faces))
-    partner = np.where((times[own] == 1) & (times[mirrored] == 1), holder[mirrored], -1)
-    # A face with two corners in one place looks the same from both sides.
-    flat = np.flatnonzero((a == b) | (b == c) | (c == a))
-    _, key, times = np.unique(np.sort(faces[flat], axis=1), axis=0, return_inverse=True, return_counts=True)
-    twice = flat[np.argsort(key.ravel(), kind="stable")][np.repeat(times == 2, times)]
-    partner[flat] = -1
-    partner[twice[::2]], partner[twice[1::2]] = twice[1::2], twice[::2]
-    return np.where((partner >= 0) & (owner[partner] != owner), partner, -1)
+    partner = np.where((times[own] == 1) & (times[mirrored] == 1) & ~flat, holder[mirrored], -1)
+    partner[(partner >= 0) & (owner[partner] == owner)] = -1
+    many = (times[own] > 1) & (times[own] == np.where(flat, times[own], times[mirrored]))
+    order = np.lexsort((owner, own))
+    start = np.searchsorted(own[order], np.arange(key.max(initial=-1) + 2))
+    for here, there in {(min(two), max(two)) for two in zip(own[many].tolist(), mirrored[many].tolist(), strict=True)}:
+        one, other = order[start[here] : start[here + 1]], order[start[there] : start[there + 1]]
+        if here == there:
+            one, other = one[: len(one) // 2], one[len(one) // 2 :]
+        other = other[::-1]  # of two fragments the lower's faces first in the one, last in the other
+        if len(one) == len(other) and len(np.unique(owner[[*one, *other]])) == 2 and (owner[one] != owner[other]).all():
+            partner[one], partner[other] = other, one
+    return partner
 
 
 def _bends(points: Floats, faces: Ints, crack: Ints, voxel: float) -> tuple[float, float, float]:
