@@ -8,7 +8,7 @@ import trimesh
 
 from deepfracture.api import hit
 from deepfracture.breakers import make_breaker
-from deepfracture.fracture import material
+from deepfracture.fracture import material, prepare_body
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.types import BadInput, Grid, Mesh, Shape
 
@@ -39,3 +39,10 @@ def joined(one: Mesh, other: Mesh) -> Mesh:
     return Mesh(
         np.concatenate([one.vertices, other.vertices]), np.concatenate([one.faces, other.faces + len(one.vertices)])
     )
+
+
+def test_the_simulator_refuses_what_is_thinner_than_its_cells_before_it_is_hit() -> None:
+    bar = builtin("bar").mesh
+    sheet = Shape("sheet", Mesh(bar.vertices * [1, 1, 1e-5], bar.faces))
+    with pytest.raises(BadInput, match="sheet: thinner than a cell"):
+        prepare_body(sheet, material("plaster"), Grid(32), elements=500, keep=False)

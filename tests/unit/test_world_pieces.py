@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,8 +12,9 @@ import pytest
 from deepfracture.breakers.learned import Learned
 from deepfracture.breakers.restrict import on_whole, restricted
 from deepfracture.carve import encode
-from deepfracture.fracture import critical_stress, material, prepare_piece, similar
+from deepfracture.fracture import Pieces, critical_stress, material, prepare_piece, similar
 from deepfracture.fracture.contact import contacts
+from deepfracture.fracture.similar import KEPT
 from deepfracture.geometry import mass_properties
 from deepfracture.types import FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape, Volume
 from deepfracture.world.pieces import as_shape, real, scaled
@@ -161,3 +164,25 @@ def test_a_model_of_the_whole_breaks_a_piece_within_bounds() -> None:
     assert whole is not None
     assert whole.count == 2
     np.testing.assert_array_equal(asked[1].position, _blow(10.0).position)
+
+
+def test_a_fragment_is_not_taken_for_another_that_is_gone() -> None:
+    """Prepared fragments are known by their identity, so they must outlive it; but not for ever."""
+    pieces = Pieces(PLASTER, Grid(32))
+    blow = Impact(
+        np.array([[1.0, 0, 0]]),
+        np.array([[-1.0, 0, 0]]),
+        np.array([1e6]),
+        np.array([[1.0, 0, 0]]),
+        speed=50.0,
+        radius=0.1,
+    )
+    seen = []
+    for number in range(2 * KEPT):
+        thin = as_shape(_fragment(_box((0.5, 0, 0), (1.0, 0.1, 1e-5 * (1 + number)))), f"sliver {number}", WHOLE)
+        assert pieces(thin, blow, np.random.default_rng(0)) is None
+        seen.append(weakref.ref(thin))
+        del thin
+        gc.collect()
+        assert seen[-1]() is not None
+    assert sum(left() is not None for left in seen) == KEPT

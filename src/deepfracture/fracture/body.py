@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from deepfracture.types import Floats, Floats32, Grid, Ints, Material, Shape
+from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Material, Shape
 
 from .cache import distances, elastic_body
 from .elastostatics import ElasticBody
@@ -74,13 +74,19 @@ def prepare_body(
 ) -> FractureBody:
     """Everything about `shape` that no collision changes; patterns will live on `grid`.
 
-    Unless `keep`, nothing of it is kept on disk."""
+    Unless `keep`, nothing of it is kept on disk. Raises BadInput if the shape is too thin for the stresses' lattice, or
+    for boundary elements."""
     elastic = elastic_body(shape.mesh, material.poisson, elements, keep=keep)
     fine = Lattice.fine(grid)
     coarse = fine.coarsened(STRESS_CELLS)
     sdf = distances(shape.mesh, fine, outside=SHELL * fine.spacing, keep=keep)
     rough = distances(shape.mesh, coarse, outside=np.inf, keep=keep)
     known = rough > SKIN * coarse.spacing
+    if not known.any():
+        raise BadInput(
+            f"{shape.name}: thinner than a cell of {coarse.spacing:.3g} m everywhere (it is two metres long), so "
+            "that no stress can be computed in it; make it thicker, or use another breaker"
+        )
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
     return FractureBody(

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from deepfracture.files import replacing
 from deepfracture.geometry import remesh, signed_distance_lattice
 from deepfracture.progress import log, stage
 from deepfracture.types import BadInput, Floats32, Mesh
@@ -71,10 +72,8 @@ def _load_array(path: Path) -> Floats32:
 
 
 def _save_array(values: Floats32, path: Path) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as file:
+    with replacing(path) as temporary, open(temporary, "wb") as file:
         np.save(file, values)
-    os.replace(temporary, path)
 
 
 def _path(mesh: Mesh, what: str, kind: str) -> Path:

@@ -13,7 +13,6 @@ inertia (d'Alembert); the density drops out.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +21,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import ArrayLike
 
+from deepfracture.files import replacing
 from deepfracture.fracture.integrals import (
     Panels,
     kernel,
@@ -69,8 +69,7 @@ class ElasticBody:
     def save(self, path: str | Path) -> None:
         """Write to one .npz file, complete or not at all."""
         path = Path(path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        with open(temporary, "wb") as file:
+        with replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez(
                 file,
                 format=np.array(FORMAT),
@@ -82,7 +81,6 @@ class ElasticBody:
                 single_layer=self.single_layer,
                 centre=self.centre,
             )
-        os.replace(temporary, path)
 
     @staticmethod
     def load(path: str | Path) -> ElasticBody:

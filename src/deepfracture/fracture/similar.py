@@ -29,6 +29,9 @@ from .simulate import simulate
 PIECE_ELEMENTS = 500
 """Boundary elements of a fragment: a third of a whole shape's, so an eighth of the factorisation."""
 
+KEPT = 8
+"""Fragments that stay prepared: one that withstands a hit is soon hit again. About 20 MB each."""
+
 
 def similar(material: Material, size: float) -> Material:
     """The material of a body of `size` metres a unit, as a body of one metre a unit has to have it."""
@@ -51,23 +54,29 @@ def prepare_piece(shape: Shape, material: Material, grid: Grid) -> FractureBody:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The simulator for fragments of whole shapes; each is prepared once."""
+    """The simulator for fragments of whole shapes; each is prepared once, unless KEPT others came between."""
 
     material: Material
     grid: Grid
     """Of the whole."""
-    _bodies: dict[int, FractureBody | None] = field(default_factory=dict)
+    _bodies: dict[int, tuple[Shape, FractureBody | None]] = field(default_factory=dict)
+    """The last KEPT by the identity of the shape, which is kept too: else another might get its number."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         """How a fragment comes apart under an impact scaled to it; None if it holds."""
         area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
         if not breaks(impact, self.material, area):
             return None
-        if id(shape) not in self._bodies:
-            self._bodies[id(shape)] = self._prepared(shape)
-        body = self._bodies[id(shape)]
+        body = self._body(shape)
         cracking = None if body is None else simulate(body, impact, rng)
         return cracking.pattern if cracking else None
+
+    def _body(self, shape: Shape) -> FractureBody | None:
+        kept = self._bodies.pop(id(shape), None) or (shape, self._prepared(shape))
+        self._bodies[id(shape)] = kept  # now the last
+        if len(self._bodies) > KEPT:
+            del self._bodies[next(iter(self._bodies))]
+        return kept[1]
 
     def _prepared(self, shape: Shape) -> FractureBody | None:
         """None for a sliver that the boundary elements cannot take: it does not break again."""

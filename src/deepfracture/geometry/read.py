@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def read_triangles(path: str | Path) -> Mesh:
 
 
 def _soup(path: Path) -> Soup:
-    if not path.exists():
+    if not os.path.exists(path):  # also where no file can be called so
         beside = (other.name for other in path.parent.iterdir()) if path.parent.is_dir() else ()
         raise BadInput(f"{path}: no such file{meant(path.name, beside)}")
     if path.is_dir():
@@ -114,7 +115,7 @@ def load_shape(path_or_name: str, *, repair: bool = False) -> Shape:
     repair: close what is open, join overlapping shells. Raises BadInput in one line."""
     text = str(path_or_name)
     path = Path(text)
-    if not text.strip() or (not path.suffix and not path.is_file()):
+    if not text.strip() or (not path.suffix and not os.path.isfile(path)):
         return builtin(text)
     soup = _soup(path)
     mesh = _welded(soup, path)
