@@ -85,6 +85,7 @@ def breaker(
     dataset: PathLike | None = None,
     resolution: int = 64,
     roughness: float = 0.0,
+    budget: int | None = None,
 ) -> Breaker:
     """A way for `shape` to break: call it with the shape, an `Impact` and a generator.
 
@@ -96,6 +97,7 @@ def breaker(
         dataset: Folder of simulated patterns, which `nearest` and `random` recall, and `cvd` counts.
         resolution: Voxels along each axis for `physical`, `voronoi` and `cvd`: 32, 64, 128 or 256.
         roughness: Grain of the crack faces [m].
+        budget: Most triangles a fragment, taken from the cracks as far as their rims allow; None: any number.
 
     Returns:
         A `Breaker`: fragments in the body frame, or None where the blow breaks nothing.
@@ -115,6 +117,7 @@ def breaker(
         model=None if model is None else Path(model),
         dataset=None if dataset is None else Path(dataset),
         roughness=roughness,
+        budget=budget,
     )
 
 
@@ -285,6 +288,7 @@ def run(
     dataset: PathLike | None = None,
     resolution: int = 64,
     roughness: float = 0.0,
+    budget: int | None = None,
 ) -> Outcome:
     """Run a scene until everything lies still or its duration is over.
 
@@ -299,6 +303,7 @@ def run(
         dataset: Folder of simulated patterns.
         resolution: Voxels along each axis.
         roughness: Grain of the crack faces [m].
+        budget: Most triangles a fragment, taken from the cracks as far as their rims allow; None: any number.
 
     Raises:
         BadInput: A shape, material or breaker that is not there, or does not fit the scene.
@@ -317,8 +322,10 @@ def run(
         raise BadInput(f"materials lacks {unknown[0]!r}, which the scene names; it has {', '.join(materials)}")
     chosen = breaker or scene.breaker or "learned"
     if isinstance(chosen, str):
-        options = {"model": model, "dataset": dataset, "resolution": resolution, "roughness": roughness}
-        chosen = scene_breaker(chosen, scene, shapes, materials, **options)
+        chosen = scene_breaker(
+            chosen, scene, shapes, materials,
+            model=model, dataset=dataset, resolution=resolution, roughness=roughness, budget=budget,
+        )  # fmt: skip
     elif model is not None or dataset is not None:
         raise BadInput("model and dataset go with the name of a breaker; this one is made already")
     rng = rng or np.random.default_rng(scene.seed)
@@ -335,6 +342,7 @@ def scene_breaker(
     dataset: PathLike | None = None,
     resolution: int = 64,
     roughness: float = 0.0,
+    budget: int | None = None,
 ) -> Breaker:
     """One breaker that knows every shape of a scene, and their fragments; arguments as in `run` and `breaker`."""
     if scene.refracture and name not in AGAIN:
@@ -342,7 +350,7 @@ def scene_breaker(
     known = {
         id(shape): breaker(
             name, shape, material=materials[placed.material],
-            model=model, dataset=dataset, resolution=resolution, roughness=roughness,
+            model=model, dataset=dataset, resolution=resolution, roughness=roughness, budget=budget,
         )
         for placed, shape in zip(scene.shapes, shapes, strict=True)
     }  # fmt: skip
@@ -418,7 +426,12 @@ def simulate(
     refracture: int = 0,
     frames: int = 60,
     repeats: int = 1,
-    workers: int = 2,
+    workers: int | None = None,
+    executor: str = "local",
+    address: str | None = None,
+    limit: float = 600.0,
+    memory: float | None = None,
+    retry: bool = False,
     seed: int = 0,
 ) -> Dataset:
     """Simulate collisions from all sides: the data that a model learns from. Call again to go on.
@@ -427,7 +440,7 @@ def simulate(
 
     Args:
         shape: What is hit.
-        out: Folder of the data set; what it holds already is kept.
+        out: Folder of the data set, or s3://BUCKET/PREFIX; what it holds already is kept.
         collisions: Balls to throw; those that break nothing are counted and left out.
         material: One of `MATERIALS`, or your own.
         resolution: Voxels along each axis.
@@ -436,7 +449,12 @@ def simulate(
         refracture: Generations of fragments that may break again ...
         frames: ... within this many frames after the hit, at 60 a second.
         repeats: Times that each collision is simulated, with other weak places in the material.
-        workers: Processes.
+        workers: Collisions at once (by default two, or all processors of a cluster).
+        executor: local, or ray: the machines of a cluster.
+        address: Of the Ray cluster (by default the one that this machine belongs to).
+        limit: Seconds after which a collision is given up and counts as failed.
+        memory: Gigabytes beyond which a worker is ended and its collision counts as failed.
+        retry: First drop what failed or is damaged, and simulate it again.
         seed: The same seed gives the same bytes, however many workers.
 
     Raises:
@@ -445,11 +463,12 @@ def simulate(
     Examples:
         >>> data = df.simulate(statue, "data/statue", collisions=240, speed=(8, 30))
     """
-    from .dataset import simulate_collisions
+    from .dataset import executor_named, simulate_collisions
 
     return simulate_collisions(
-        shape, _material(material), Path(out), collisions=collisions, workers=workers, resolution=resolution,
-        seed=seed, speed_range=speed, scene=scene, refracture=refracture, frames=frames, repeats=repeats,
+        shape, _material(material), Path(out), collisions=collisions, resolution=resolution, seed=seed,
+        speed_range=speed, scene=scene, refracture=refracture, frames=frames, repeats=repeats,
+        executor=executor_named(executor, workers=workers, address=address), limit=limit, memory=memory, retry=retry,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfracture.carve import cut
+from deepfracture.carve import coarsened, cut
 from deepfracture.fracture import breaks
 from deepfracture.progress import stage
 from deepfracture.types import FracturePattern, Fragments, Impact, Material, Shape
@@ -27,6 +27,8 @@ class PatternBreaker:
     material: Material
     roughness: float = 0.0
     """Grain of the crack faces [m]."""
+    budget: int | None = None
+    """Most triangles a fragment, as far as `coarsened` can; None: any number."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
         area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
@@ -38,4 +40,7 @@ class PatternBreaker:
         with stage("cut"):
             roughness = self.roughness / shape.size
             fragments = cut(shape, pattern, density=self.material.density, roughness=roughness)
+        if self.budget is not None:
+            with stage("coarsen"):
+                fragments = coarsened(fragments, self.budget)
         return fragments if len(fragments) > 1 else None  # what the pattern parts may be dust to the mesh

@@ -35,15 +35,16 @@ def make_breaker(
     model: Path | None = None,
     dataset: Path | None = None,
     roughness: float = 0.0,
+    budget: int | None = None,
 ) -> Breaker:
     """The breaker called `name` for `shape`; `model` overrides the shipped one. `nearest` and `random` recall the
     patterns of `dataset`, and `cvd` learns from it how many fragments an impulse gives.
-    `roughness`: grain of the crack faces [m].
+    `roughness`: grain of the crack faces [m]. `budget`: most triangles a fragment, as far as `carve.coarsened` can.
 
     Raises `BadInput` when the name is unknown, or when no trained model or data set exists for the shape."""
     memory = None if dataset is None else recall(shape, dataset)
     source = make_source(name, shape, material, grid, model=model, memory=memory)
-    return PatternBreaker(source, material, roughness)
+    return PatternBreaker(source, material, roughness, budget)
 
 
 def make_source(
