@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from deepfracture.geometry import builtin, closest, faults, load_shape, read_mesh, read_triangles
+from deepfracture.geometry.repair import repair
 from deepfracture.geometry.solids import box
 from deepfracture.types import BadInput, Mesh, Shape
 
@@ -194,6 +195,12 @@ def test_repair_wraps_what_has_edges_with_many_faces(tmp_path):
     shape = load_shape(str(write_obj(tmp_path / "rooms.obj", crowded)), repair=True)
     assert faults(shape.mesh).closed and faults(shape.mesh).shells == 1
     assert shape.mesh.volume * shape.scale**3 == pytest.approx(1, rel=0.02)
+
+
+def test_repair_refuses_a_heap_of_large_triangles():
+    corners = np.random.default_rng(0).random((150_000, 3))
+    with pytest.raises(BadInput, match="mess: a heap of large triangles"):
+        repair(Mesh(corners, np.arange(len(corners)).reshape(-1, 3)), "mess")
 
 
 def test_repair_leaves_good_meshes_alone(tmp_path):

@@ -46,12 +46,12 @@ def _soup(path: Path) -> Soup:
     if not len(soup.faces):
         raise BadInput(f"{path}: no triangles found; is it really {_article(path)} file?")
     count = len(soup.vertices)
+    if soup.faces.min() < 0 or soup.faces.max() >= count:
+        raise BadInput(f"{path}: faces use vertices that the file lacks ({count} given); export it again")
     bad = count - int(np.isfinite(soup.vertices).all(axis=1).sum())
     if bad:
         raise BadInput(f"{path}: {bad} of {count} vertices are NaN or infinite; export it again")
     _check_lengths(soup, path)
-    if soup.faces.min() < 0 or soup.faces.max() >= count:
-        raise BadInput(f"{path}: faces use vertices that the file lacks ({count} given); export it again")
     return soup
 
 

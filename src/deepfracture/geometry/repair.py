@@ -20,10 +20,12 @@ from deepfracture.geometry.topology import (
     split_pinches,
 )
 from deepfracture.geometry.untangle import crossing_faces, untangled
-from deepfracture.geometry.wrap import wrap
+from deepfracture.geometry.wrap import VOXELS, wrap
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Ints, Mesh
 
+HEAP = 5000
+"""Boxes of triangles that may lie over a place on average: a surface has a few, and time to search goes with them."""
 CRUMB = 0.02
 """Separate bodies below this share of the whole volume are dropped."""
 
@@ -32,7 +34,9 @@ def repair(mesh: Mesh, name: str) -> Mesh:
     """A closed, outward-oriented 2-manifold of one body near `mesh`; logs what was done.
 
     Caps and unions keep the input's triangles; a wrap stays within a hundredth of the longest
-    side of the outside, save where it bridges gaps. Raises BadInput when no solid comes out."""
+    side of the outside, save where it bridges gaps. Raises BadInput when no solid comes out, or the triangles are no
+    surface but a heap."""
+    _refuse_heap(mesh, name)
     before = faults(mesh)
     if before.closed and before.shells == 1 and not len(crossing_faces(mesh)):
         log.info("%s: already closed, nothing to repair", name)
@@ -60,6 +64,17 @@ def repair(mesh: Mesh, name: str) -> Mesh:
         off.mean(),
     )
     return split_pinches(solid)
+
+
+def _refuse_heap(mesh: Mesh, name: str) -> None:
+    corners = mesh.triangles
+    sides, whole = np.ptp(corners, axis=1), np.ptp(mesh.bounds, axis=0)
+    least = whole.max() / VOXELS
+    depth = float((np.maximum(sides, least) / np.maximum(whole, least)).prod(axis=1).sum())
+    if depth > HEAP:
+        raise BadInput(
+            f"{name}: a heap of large triangles, {depth:.0f} over one another on average; no solid can be made of it"
+        )
 
 
 def cap_holes(mesh: Mesh) -> tuple[Mesh, int]:

@@ -82,7 +82,7 @@ def read_scene(path: Path) -> Soup:
         frames = [scene.graph[mesh.metadata["node"]][0][:3, :3] for mesh in placed]
         return _joined(placed, [looks[mesh.metadata["name"]] for mesh in placed], frames)
     except Exception as problem:  # Loaders raise anything on garbage; every case is the same to the user.
-        reason = (str(problem).strip().splitlines() or [type(problem).__name__])[0]
+        reason = (str(problem).strip().splitlines() or [type(problem).__name__])[0][:200]
         raise BadInput(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})") from None
 
 

@@ -123,18 +123,18 @@ def _indices(path: Path, words: list[str], lines: Ints, rows: dict[str, list[Row
             index = np.array([int(text) for text in texts if text], np.int64)
         except (ValueError, OverflowError):
             bad = next(n for n, text in enumerate(texts) if text and not _is_index(text))
-            raise _unreadable(path, int(lines[bad]), f"face corner {words[bad]!r}") from None
+            raise _unreadable(path, int(lines[bad]), f"face corner {words[bad][:60]!r}") from None
         before = np.searchsorted([number for number, _ in rows[key]], lines[given])
         count = len(rows[key])
         index = np.where(index < 0, index + before, index - 1)
         wrong = (index < 0) | (index >= count)
         if wrong.any():
             bad = np.flatnonzero(given)[wrong][0]
-            raise _unreadable(path, int(lines[bad]), f"{what} {texts[bad]} of {count}; export it again")
+            raise _unreadable(path, int(lines[bad]), f"{what} {texts[bad][:60]} of {count}; export it again")
         corners[given, k] = index
         if k == 0 and not given.all():
             bad = np.flatnonzero(~given)[0]
-            raise _unreadable(path, int(lines[bad]), f"face corner {words[bad]!r}")
+            raise _unreadable(path, int(lines[bad]), f"face corner {words[bad][:60]!r}")
     return corners
 
 
