@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepfracture.geometry import builtin
-from deepfracture.geometry.intersect import TOUCH, self_intersections
+from deepfracture.geometry.intersect import TOUCH, _beside, _boxes, _cross, _planes, self_intersections
 from deepfracture.types import BadInput, Mesh
 from deepfracture.validation.meshes import box, icosphere, together
 
@@ -153,3 +153,20 @@ def test_few_faces_and_bad_tolerances() -> None:
     assert self_intersections(Mesh(np.zeros((3, 3)), np.zeros((0, 3), int))).shape == (0, 2)
     with pytest.raises(BadInput, match="tolerance must be positive"):
         self_intersections(CUBE, tolerance=0.0)
+
+
+def test_the_quick_look_beside_a_plane_never_hides_a_crossing():
+    rng, looked = np.random.default_rng(0), 0
+    for round_ in range(30):
+        points = rng.random((40, 3)) * rng.choice([1, 1e-3, 1e-6], (40, 1))
+        if round_ % 3 == 0:  # much in common planes
+            points = np.round(points * 4) / 4
+        corners = points[rng.integers(0, 40, (40, 3))]
+        (low, high), normals = _boxes(corners, TOUCH), _planes(corners)
+        whole = np.flatnonzero(low[:, 0] <= high[:, 0])
+        for s in whole:
+            for t in whole:
+                if s != t and _beside(normals, corners, s, t, TOUCH):
+                    looked += 1
+                    assert not _cross(corners[s], corners[t], TOUCH)
+    assert looked > 5000

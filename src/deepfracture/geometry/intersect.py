@@ -12,6 +12,8 @@ TOUCH = 2e-9
 """Depth [m] up to which faces merely touch: 1e-9 of a shape's box, far above the noise of float64 (1e-15)."""
 FLAT = 1e-13
 """Distance [m] from a common plane up to which faces lie in it: what rounding leaves of a plane."""
+FIRM = 1e-6
+"""Altitude [m] from which a face has a plane that others can be told to lie beside."""
 
 
 def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH, most: int | None = None) -> Ints:
@@ -52,6 +54,7 @@ def _crossings(tree: Tree, tolerance: float, most: int):  # pragma: no cover
     corners = tree.corners
     stack = np.empty(STACK, np.int64)
     low, high = _boxes(corners, tolerance)
+    normals = _planes(corners)
     for s in range(len(corners)):
         if low[s, 0] > high[s, 0]:
             continue
@@ -67,7 +70,11 @@ def _crossings(tree: Tree, tolerance: float, most: int):  # pragma: no cover
                 depth += 2
                 continue
             for t in range(max(s + 1, tree.spans[node, 0]), tree.spans[node, 1]):
-                if _meet(low[t], high[t], low[s], high[s]) and _cross(corners[s], corners[t], tolerance):
+                if (
+                    _meet(low[t], high[t], low[s], high[s])
+                    and not _beside(normals, corners, s, t, tolerance)
+                    and _cross(corners[s], corners[t], tolerance)
+                ):
                     if count == len(found):
                         found = np.concatenate((found, np.empty_like(found)))
                     found[count, 0], found[count, 1] = tree.order[s], tree.order[t]
@@ -94,6 +101,39 @@ def _boxes(corners: Floats, tolerance: float):  # pragma: no cover
         if x * x + y * y + z * z <= tolerance * tolerance * longest:
             low[t], high[t] = np.inf, -np.inf
     return low, high
+
+
+@njit(cache=True)
+def _planes(corners: Floats):  # pragma: no cover
+    """Unit normals of the faces; zero where they are not FIRM."""
+    normals = np.zeros((len(corners), 3))
+    for t in range(len(corners)):
+        p, longest = corners[t], 0.0
+        for a in range(3):
+            side = 0.0
+            for x in range(3):
+                side += (p[(a + 1) % 3, x] - p[a, x]) ** 2
+            longest = max(longest, side)
+        x, y, z = _cross_product(p[0], p[1], p[0], p[2])
+        length = np.sqrt(x * x + y * y + z * z)
+        if length * length > FIRM * FIRM * longest:
+            normals[t, 0], normals[t, 1], normals[t, 2] = x / length, y / length, z / length
+    return normals
+
+
+@njit(cache=True, inline="always")
+def _beside(normals: Floats, corners: Floats, s: int, t: int, tolerance: float):  # pragma: no cover
+    """Whether triangle t lies on one side of the plane of s, if that is firm, and not in it: `_cross` would say no.
+
+    Quick, for in a fan of n faces all n^2 pairs come as far as this."""
+    x, y, z = normals[s, 0], normals[s, 1], normals[s, 2]
+    base = x * corners[s, 0, 0] + y * corners[s, 0, 1] + z * corners[s, 0, 2]
+    a = x * corners[t, 0, 0] + y * corners[t, 0, 1] + z * corners[t, 0, 2] - base
+    b = x * corners[t, 1, 0] + y * corners[t, 1, 1] + z * corners[t, 1, 2] - base
+    c = x * corners[t, 2, 0] + y * corners[t, 2, 1] + z * corners[t, 2, 2] - base
+    low, high = min(a, b, c), max(a, b, c)
+    # A face that lies in the plane of a smaller one leaves it by less than FIRM.
+    return high - low > 4 * FIRM and (low > -0.5 * tolerance or high < 0.5 * tolerance)
 
 
 @njit(cache=True, inline="always")
