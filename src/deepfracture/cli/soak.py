@@ -1,0 +1,29 @@
+"""`soak`: thousands of random hits, each checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deepfracture.progress import log
+
+
+def soak(
+    shapes: tuple[str, ...], *, hits: int, breakers: tuple[str, ...], seed: int, out: Path | None, workers: int,
+    limit: float, resolution: int | None, engine: str, model: Path | None, data: Path | None, repair: bool,
+) -> bool:  # fmt: skip
+    """Hit and check, say what came of it; whether all was well."""
+    from deepfracture.export.files import replacing
+    from deepfracture.soak import Settings, summary
+    from deepfracture.soak import soak as run
+    from deepfracture.soak.results import sound
+
+    settings = Settings(
+        shapes, breakers, seed, resolution, engine, repair, model=model, data=data,
+    )  # fmt: skip
+    rows = run(settings, hits, out=out, workers=workers, limit=limit)
+    told = summary(rows, settings)
+    log.info("%s", told.rstrip())
+    if out is not None:
+        with replacing(out / "summary.md") as temporary:
+            temporary.write_text(told, encoding="utf-8")
+    return sound(rows)

@@ -1,0 +1,250 @@
+"""One hit, from the ball to the pieces on the floor, and all that must hold of it."""
+
+from __future__ import annotations
+
+import time
+import traceback
+import zlib
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from deepfracture.breakers import PatternBreaker, make_source
+from deepfracture.breakers.base import PatternSource
+from deepfracture.breakers.choose import recall
+from deepfracture.breakers.physical import Physical
+from deepfracture.breakers.restrict import piece_grid
+from deepfracture.fracture import MATERIALS, FractureBody
+from deepfracture.geometry import load_shape
+from deepfracture.progress import peak_mb
+from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Recording, Shape, Track
+from deepfracture.validation.fragments import check_fragments
+from deepfracture.world import Live, Scene
+from deepfracture.world.engine import rotation
+
+from .plan import RECALLING, Case, Settings, data_of, model_of
+from .scenes import draw_scene
+
+T = TypeVar("T")
+KEPT = 16
+"""Models, stress solvers (120 MB) and data sets kept ready of each kind, the last used ones."""
+LIGHT = 64
+"""Breakers without these: a distance field of 1 MB each."""
+DEPTH = 0.1
+"""Below the floor no corner of a body may reach [m]: what is struck against it may yield a little."""
+
+
+@dataclass
+class Watched:
+    """A breaker whose answers are kept, with what was broken and how long it took."""
+
+    breaker: Breaker
+    answers: list[tuple[Shape, Fragments]] = field(default_factory=list)
+    asked: int = 0
+    seconds: float = 0.0
+
+    def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
+        began = time.perf_counter()
+        found = self.breaker(shape, impact, rng)
+        self.seconds += time.perf_counter() - began
+        self.asked += 1
+        if found is not None:
+            self.answers.append((shape, found))
+        return found
+
+
+class Shop:
+    """Shapes and breakers of a soak; what is costly is kept from hit to hit, what is learnt of fragments is not."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._shapes: dict[str, Shape] = {}
+        self._kept: dict[str, OrderedDict[Hashable, Any]] = {}
+
+    def shape(self, source: str) -> Shape:
+        if source not in self._shapes:
+            self._shapes[source] = load_shape(source, repair=self.settings.repair)
+        return self._shapes[source]
+
+    def material(self, one: Case, rng: np.random.Generator) -> str:
+        """What a hit is made of: a solver and the patterns of others know one material."""
+        if one.breaker == "learned" or one.breaker in RECALLING:
+            return "plaster"
+        names = tuple(MATERIALS)
+        if one.breaker == "physical":
+            return names[zlib.crc32(Path(one.shape).stem.encode()) % len(names)]
+        return str(rng.choice(names))
+
+    def breaker(self, one: Case, material: str) -> Breaker:
+        shape, made_of, grid = self.shape(one.shape), MATERIALS[material], Grid(one.resolution)
+        if one.breaker == "physical":
+            body: FractureBody = self._once("bodies", one.shape, KEPT, lambda: Physical(made_of, grid).body(shape))
+            return PatternBreaker(Physical(made_of, grid, {id(shape): body}), made_of)
+
+        def make() -> PatternSource:
+            data = data_of(one.shape, self.settings) if one.breaker in RECALLING else None
+            memory = None if data is None else self._once("data", data, KEPT, lambda: recall(shape, data))
+            model = model_of(one.shape, self.settings) if one.breaker == "learned" else None
+            return make_source(one.breaker, shape, made_of, grid, model=model, memory=memory)
+
+        known = one.breaker == "learned" or one.breaker in RECALLING
+        source = self._once(
+            "known" if known else "light", (one.shape, one.breaker, material), KEPT if known else LIGHT, make
+        )
+        return PatternBreaker(source, made_of)
+
+    def _once(self, kind: str, key: Hashable, most: int, make: Callable[[], T]) -> T:
+        kept = self._kept.setdefault(kind, OrderedDict())
+        if key not in kept:
+            kept[key] = make()
+        kept.move_to_end(key)
+        while len(kept) > most:
+            kept.popitem(last=False)
+        return kept[key]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A hit that can begin."""
+
+    case: Case
+    scene: Scene
+    shape: Shape
+    breaker: Watched
+
+
+def prepare(shop: Shop, one: Case) -> Prepared:
+    """All that is needed once for a shape and breaker, and the scene."""
+    rng = np.random.default_rng(one.seed)
+    material = shop.material(one, rng)
+    shape = shop.shape(one.shape)
+    breaker = Watched(shop.breaker(one, material))
+    scene = draw_scene(one.shape, shape, rng, material=material, breaker=one.breaker, engine=shop.settings.engine)
+    return Prepared(one, scene, shape, breaker)
+
+
+@dataclass(frozen=True)
+class Played:
+    """A hit that has happened and is not checked yet."""
+
+    ready: Prepared
+    row: dict[str, Any]
+    """What is known so far."""
+    recording: Recording | None
+    """None: it failed, and there is nothing to check."""
+
+
+def hit(ready: Prepared) -> dict[str, Any]:
+    """Play the scene and check what came of it: a row of results, `failures` empty where all is well."""
+    return check(play(ready))
+
+
+def play(ready: Prepared) -> Played:
+    """From the first frame to the last."""
+    watched, recording = ready.breaker, None
+    row: dict[str, Any] = {**asdict(ready.case), "failures": {}}
+    began, worked = time.perf_counter(), time.process_time()
+    try:
+        recording, broken = _play(ready)
+        row |= {"breaks": broken, "frames": recording.frames, "asked": watched.asked, "break_seconds": watched.seconds}
+    except _NotFinite as problem:
+        row |= {"failures": {"pose": 1}, "detail": str(problem)}
+    except Exception as crash:  # what a crash looks like is what a soak is here to tell
+        row |= _crash(crash)
+    taken = {"seconds": time.perf_counter() - began, "processor_seconds": time.process_time() - worked}
+    return Played(ready, row | taken, recording)
+
+
+def check(played: Played) -> dict[str, Any]:
+    """The row of a hit, with all that is wrong with it."""
+    row, ready = dict(played.row), played.ready
+    if played.recording is not None:
+        try:
+            row |= _fragments(ready.breaker, ready.case.resolution) | _bodies(played.recording, ready.scene)
+            if row["through"]:
+                row["failures"]["through floor"] = row["through"]
+        except Exception as crash:
+            row |= _crash(crash)
+    return row | {"resident_mb": resident_mb()}
+
+
+def _crash(crash: Exception) -> dict[str, Any]:
+    kind = "no solution" if isinstance(crash, NoSolution) else "crash"
+    detail = f"{type(crash).__name__}: {(str(crash).splitlines() or [''])[0]}"
+    return {"failures": {kind: 1}, "detail": detail, "traceback": traceback.format_exc()}
+
+
+class _NotFinite(RuntimeError):
+    """A body is nowhere."""
+
+
+def _play(ready: Prepared) -> tuple[Recording, int]:
+    """The recording, and how many collisions broke something."""
+    scene = ready.scene
+    rng = np.random.default_rng([ready.case.seed, 1])
+    with Live(scene, [ready.shape], ready.breaker, rng, materials=MATERIALS) as live:
+        for _ in range(int(scene.duration * scene.frame_rate)):
+            live.advance()
+            for pose in live.at(live.frames - 1):
+                if not (np.isfinite(pose.position).all() and np.isfinite(pose.quat_wxyz).all()):
+                    raise _NotFinite(f"{pose.name} has no finite pose in frame {live.frames - 1}")
+            if live.at_rest:
+                break
+        outcome = live.outcome()
+    return outcome.recording, len(outcome.breaks)
+
+
+def _fragments(watched: Watched, resolution: int) -> dict[str, Any]:
+    """What is wrong with the fragments, of whole shapes and of pieces."""
+    failures: Counter[str] = Counter()
+    error, count = 0.0, 0
+    for shape, fragments in watched.answers:
+        whole = Grid(resolution)
+        voxel = whole.spacing if shape.whole is None else piece_grid(shape, whole).spacing
+        report = check_fragments(shape, fragments, voxel=voxel)
+        failures.update(report.failures)
+        error, count = max(error, abs(report.volume_error)), count + len(fragments)
+    again = sum(shape.whole is not None for shape, _ in watched.answers)
+    return {"failures": dict(failures), "fragments": count, "again": again, "volume_error": error}
+
+
+def _bodies(recording: Recording, scene: Scene) -> dict[str, Any]:
+    """How deep anything got below the floor [m], and how fast a fragment became [m/s].
+
+    A body has gone through where its centre of mass is below the floor, or a corner of it lower than `DEPTH`."""
+    bodies = [track for track in recording.tracks if track.rigid is not None]
+    speeds = [np.linalg.norm(t.rigid.velocities, axis=1).max() for t in bodies if t.kind == "fragment" and t.rigid]
+    found: dict[str, Any] = {"fastest": float(max(speeds, default=0.0)), "through": 0}
+    if scene.floor is None:
+        return found
+    lows = {track.name: _lowest(track) for track in bodies}
+    through = [name for name, (centre, corner) in lows.items() if centre < 0 or corner < -DEPTH]
+    found["deepest"] = float(max((-corner for _, corner in lows.values()), default=0.0))
+    if through:
+        name = min(through, key=lambda name: lows[name][1])
+        centre, corner = lows[name]
+        found["detail"] = f"{name}: centre of mass at {centre:.3f} m, lowest corner at {corner:.3f} m"
+        found["through"] = len(through)
+    return found
+
+
+def _lowest(track: Track) -> tuple[float, float]:
+    """Least height of the centre of mass, and of any corner [m]."""
+    assert track.rigid is not None
+    down = np.stack([rotation(quat)[2] for quat in track.quats_wxyz])  # height in the world, of a point of the mesh
+    height = track.positions[:, 2]
+    corners = np.unique(np.concatenate(track.rigid.hulls), axis=0) if track.rigid.hulls else track.mesh.vertices
+    return float((down @ track.rigid.centre + height).min()), float(((down @ corners.T).min(axis=1) + height).min())
+
+
+def resident_mb() -> float:
+    """Memory of this process now; its highest so far where the system does not say [MB]."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return peak_mb()
+    return pages * 4096 / 1e6

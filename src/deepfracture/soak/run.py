@@ -1,0 +1,232 @@
+"""Many hits in processes of their own: one that hangs or dies costs its hit and no other."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import queue
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepfracture.progress import hush, log, track
+from deepfracture.types import BadInput
+
+from .hit import Shop, check, hit, play, prepare
+from .plan import Case, Settings, numbered
+from .results import Results, Row
+
+if TYPE_CHECKING:
+    from multiprocessing.context import SpawnProcess
+
+ONE_THREAD: Mapping[str, str] = dict.fromkeys(
+    ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
+"""One thread each is quickest, and always sums alike."""
+PREPARING = 600.0
+"""Time that a shape and a breaker may take to get ready, and a check to be done [s]: not the hit's fault."""
+STACK_LINES = 30
+"""Of what a hanging process was doing."""
+
+
+def soak(
+    settings: Settings, hits: int, *, out: Path | None = None, workers: int = 1, limit: float = 120.0
+) -> list[Row]:
+    """The rows of hits 0 .. `hits` - 1; those that the folder `out` holds are not repeated.
+
+    Args:
+        out: Where each row is kept as soon as it is known; None: nowhere.
+        workers: Processes.
+        limit: Longest time for a hit [s]; what takes longer has failed.
+
+    Raises:
+        BadInput: A value makes no sense, a shape cannot be used, or `out` holds a soak of other settings.
+    """
+    if hits < 1 or workers < 1:
+        raise BadInput(f"hits and workers must be at least 1, got {hits} and {workers}")
+    if not limit > 0:
+        raise BadInput(f"limit must be positive, got {limit}")
+    cases = list(numbered(settings, hits))
+    with Results(settings, out) as results:
+        done = results.done
+        missing = [one for one in cases if one.number not in done]
+        for row in track(_rows(settings, missing, min(workers, len(missing)), limit), name="hits", total=len(missing)):
+            results.add(row)
+            if row["failures"]:
+                one = cases[row["number"]]
+                log.warning("%s %s: repeat it with %s", _kinds(row), row.get("detail", ""), one.command(settings))
+        return [row for row in results.rows if row["number"] < hits]
+
+
+def _kinds(row: Row) -> str:
+    return ", ".join(row["failures"])
+
+
+def _rows(settings: Settings, cases: list[Case], workers: int, limit: float) -> Iterator[Row]:
+    """A row a case, as they come."""
+    waiting: queue.SimpleQueue[Case] = queue.SimpleQueue()
+    for one in cases:
+        waiting.put(one)
+    found: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
+    stopped = threading.Event()
+    with _environment(ONE_THREAD):
+        seats = [_Seat(settings, limit, waiting, found, stopped) for _ in range(workers)]
+        try:
+            for _ in cases:
+                row = found.get()
+                if isinstance(row, BaseException):
+                    raise row
+                yield row
+        finally:
+            stopped.set()
+            for seat in seats:
+                seat.close()
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Children read these variables when they start."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+class _Seat:
+    """A worker process and the thread that hands it one case after another; a new one where it had to be ended."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        limit: float,
+        waiting: queue.SimpleQueue[Case],
+        found: queue.SimpleQueue[Row | BaseException],
+        stopped: threading.Event,
+    ) -> None:
+        self._settings, self._limit = settings, limit
+        self._waiting, self._found, self._stopped = waiting, found, stopped
+        self._process: SpawnProcess | None = None
+        self._stack = Path(tempfile.mkstemp(prefix="deepfracture-soak-", suffix=".stack")[1])
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the process. Returns when the thread has ended."""
+        self._kill()
+        self._thread.join()
+        self._kill()
+        self._stack.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopped.is_set():
+                try:
+                    one = self._waiting.get_nowait()
+                except queue.Empty:
+                    return
+                row = self._one(one)
+                if not self._stopped.is_set():
+                    self._found.put(row)
+        except BaseException as problem:  # the main thread waits for a row: let it know
+            self._found.put(problem)
+
+    def _one(self, one: Case) -> Row:
+        process = self._process or self._start()
+        began = time.perf_counter()
+        row: Row = {**asdict(one), "worker": process.pid}
+        try:
+            self._pipe.send(one)
+            for patience in (PREPARING, self._limit, PREPARING):
+                began = time.perf_counter()
+                if not self._pipe.poll(patience):
+                    return row | self._ended("limit", f"more than {patience:g} s", began)
+                said = self._pipe.recv()
+                if said is not None:
+                    return row | said
+        except (EOFError, OSError):
+            process.join(5.0)
+            return row | self._ended("died", _reason(process.exitcode), began)
+        raise AssertionError("a worker says no more than that")
+
+    def _ended(self, kind: str, detail: str, began: float) -> Row:
+        """What is known of a hit whose process has to go, or has gone."""
+        self._kill()
+        stack = self._stack.read_text(errors="replace").splitlines()[:STACK_LINES]
+        found = {"failures": {kind: 1}, "detail": detail, "seconds": time.perf_counter() - began}
+        return found | ({"traceback": "\n".join(stack)} if stack else {})
+
+    def _start(self) -> SpawnProcess:
+        context = get_context("spawn")
+        self._stack.write_text("")
+        self._pipe, theirs = context.Pipe()
+        process = context.Process(
+            target=_work, args=(theirs, self._settings, self._limit, str(self._stack)), daemon=True
+        )
+        process.start()
+        theirs.close()
+        self._process = process
+        return process
+
+    def _kill(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.join()
+
+
+def _reason(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"the process ended with status {code}"
+    with suppress(ValueError):
+        return f"the process was killed by {signal.Signals(-code).name}"
+    return f"the process was killed by signal {-code}"
+
+
+def _work(pipe: Connection, settings: Settings, limit: float, stack: str) -> None:
+    """In a worker: None once a case is prepared and once more when it has happened, then its row."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the parent, who ends this process
+    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
+    hush()
+    log.setLevel("ERROR")
+    shop, known = Shop(settings), set()
+    with open(stack, "w", encoding="utf-8") as file:
+        faulthandler.enable(file)
+        while True:
+            one = pipe.recv()
+            try:
+                ready = prepare(shop, one)
+                if one.breaker not in known:
+                    hit(prepare(shop, one))  # compiles what is not compiled yet: no fault of the hit
+                    known.add(one.breaker)
+            except Exception as problem:  # of this case: others need not suffer
+                pipe.send(
+                    {"failures": {"prepare": 1}, "detail": f"{type(problem).__name__}: {problem}", "seconds": 0.0}
+                )
+                continue
+            pipe.send(None)
+            faulthandler.dump_traceback_later(0.8 * limit, file=file)
+            played = play(ready)
+            faulthandler.cancel_dump_traceback_later()
+            pipe.send(None)
+            pipe.send(check(played))
+
+
+def _leave_with(parent: int) -> None:
+    """End this process when the parent has been killed."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
