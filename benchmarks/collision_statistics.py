@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from common import DATA, REFERENCE, ROOT, SPEEDS, fragment_volumes, shape_named, start, table, write_json, write_text
 
-from deepfracture.dataset import Dataset, Sample, open_dataset, simulate_collisions
+from deepfracture.dataset import Dataset, Local, Sample, open_dataset, simulate_collisions
 from deepfracture.export.files import replacing
 from deepfracture.fracture import material
 from deepfracture.progress import log, track
@@ -119,8 +119,8 @@ def collision_statistics(
             log.warning("%s: %d collisions", shape.name, collisions)
             sets.append(
                 simulate_collisions(
-                    shape, material(preset), folder, collisions=collisions, workers=workers, resolution=resolution,
-                    seed=seed, speed_range=speed,
+                    shape, material(preset), folder, collisions=collisions, resolution=resolution, seed=seed,
+                    speed_range=speed, executor=Local(workers),
                 )
             )  # fmt: skip
     if not sets:
@@ -259,9 +259,7 @@ def report(found: dict[str, dict[str, Any]], paper: dict[str, Floats], near: flo
 
 def _unbroken(dataset: Dataset) -> list[float]:
     """Impulses [N s] of the collisions that broke nothing."""
-    texts = [path.read_text(encoding="utf-8") for path in sorted((dataset.path / "unbroken").glob("[0-9]*.json"))]
-    impacts = [json.loads(text)["impact"] for text in texts]
-    return [float(impact["impulse"]) for impact in impacts if impact is not None]
+    return [record.impulse for record in dataset.records if record.kind == "unbroken" and record.impulse is not None]
 
 
 def _spearman(x: Floats, y: Floats) -> float:

@@ -25,7 +25,7 @@ from degenerate import DEGENERATE
 
 from deepfracture.carve import cut
 from deepfracture.carve.cut import DUST_VOXELS
-from deepfracture.dataset.generate import THREAD_VARIABLES
+from deepfracture.dataset.guard import THREAD_VARIABLES
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import BUILTIN, faults, load_shape, signed_distance
 from deepfracture.geometry.topology import split_pinches

@@ -7,6 +7,8 @@ import json
 import pickle
 import signal
 import threading
+import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -256,3 +258,35 @@ def test_distances_are_stored_to_a_fraction_of_a_voxel() -> None:
 
 def test_shapes_without_a_shipped_model_have_none() -> None:
     assert embedded_model("no such shape") is None
+
+
+def test_samples_are_read_once_and_not_kept(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of thirty patterns a few are alive at a time: those that are watched, and the one that has just been read."""
+    many = replace(dataset, records=tuple(replace(dataset.samples[i % len(dataset)], number=i) for i in range(30)))
+    reads: list[str] = []
+    alive: set[int] = set()
+    most = 0
+    read = store.read_sample
+
+    def counted(storage, settings, record):
+        nonlocal most
+        reads.append(record.name)
+        sample = read(storage, settings, replace(record, number=record.number % len(dataset)))
+        alive.add(id(sample.pattern))
+        weakref.finalize(sample.pattern, alive.discard, id(sample.pattern))
+        most = max(most, len(alive))
+        return sample
+
+    monkeypatch.setattr(store, "read_sample", counted)
+    train(many, tmp_path / "run", SMALL, epochs=1, device="cpu")
+    assert reads == [f"{k:06d}" for k in range(30)]
+    assert most <= 10 + 2
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        "checkpoint.safetensors", "model.safetensors", "card.txt", "curve.csv", "curve.png"
+    }  # fmt: skip
+
+
+def test_several_processes_are_refused(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(BadInput, match="preset waves trains in one process"):
+        train(dataset, tmp_path / "run", SMALL, epochs=1, device="cpu")

@@ -124,6 +124,8 @@ def parts() -> tuple[Part, ...]:
             "data sets", "simulate, train, evaluate", "zarr", "data", _store,
             "" if python >= (3, 11) else "zarr 3 needs Python 3.11 or newer",
         ),
+        Part("buckets", "data sets at s3://", "obstore", "s3", _bucket),
+        Part("ray", "simulate --executor ray", "ray", "ray", lambda: f"ray {import_module('ray').__version__}"),
         Part("plots", "train, evaluate, validate --plots", "matplotlib", "plots", _plot),
         Part("torch", "train", "torch", "train", _torch),
         Part("onnx", "export-onnx", "onnxruntime", "onnx", _onnx),
@@ -257,6 +259,15 @@ def _store() -> str:
     if back.tolist() != [0, 1, 2, 3]:
         raise RuntimeError(f"0, 1, 2, 3 was read back as {back.tolist()}")
     return f"zarr {_version('zarr')}"
+
+
+def _bucket() -> str:
+    obstore = import_module("obstore")
+    store = import_module("obstore.store").MemoryStore()
+    obstore.put(store, "numbers", b"0123")
+    if bytes(obstore.get(store, "numbers").bytes()) != b"0123":
+        raise RuntimeError("what was written was not read back")
+    return f"obstore {_version('obstore')}"
 
 
 def _plot() -> str:

@@ -14,8 +14,8 @@ from deepfracture.types import BadInput
 def info(name: str) -> None:
     """Say what `name` is: a data set, model, report, scene, mesh file or built-in shape."""
     path = Path(name)
-    if path.is_dir():
-        lines = _dataset(path)
+    if path.is_dir() or name.startswith("s3://"):
+        lines = _dataset(name)
     elif path.suffix == ".safetensors":
         lines = _model(path)
     elif path.suffix == ".toml":
@@ -28,20 +28,25 @@ def info(name: str) -> None:
         log.info("%s", line)
 
 
-def _dataset(path: Path) -> list[str]:
-    from deepfracture.dataset import open_dataset
+def _dataset(path: str) -> list[str]:
+    from deepfracture.dataset import verified
 
-    data = open_dataset(path)
-    counts = [data[i].pattern.count for i in range(len(data))]
+    data, damaged = verified(path)
+    counts = [record.fragments for record in data.samples]
     again, frames = data.settings.refracture, data.settings.frames
     lines = [
         f"{path}: data set of {data.shape.name} ({data.material.name}), scene {data.settings.scene}",
         *([f"  fragments broke again, {again} generations in {frames} frames"] if again else []),
         f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} broke nothing, {data.failed} failed",
-        f"  largest impulse {data.max_impulse:.0f} N s",
     ]
     if counts:
+        lines.append(f"  largest impulse {data.max_impulse:.0f} N s")
         lines.append(f"  fragments: {min(counts)} to {max(counts)}, median {np.median(counts):.0f}")
+    if damaged:
+        lines += [f"  entry {number:06d} is damaged: {problem}" for number, problem in sorted(damaged.items())]
+        lines.append(f"  {len(damaged)} damaged: the command that made it, with --retry, makes them anew")
+    else:
+        lines.append("  every entry is as it was written (SHA-256)")
     return lines
 
 
@@ -81,14 +86,23 @@ def _scene(path: Path) -> list[str]:
 
 
 def _json(path: Path) -> list[str]:
+    if not path.is_file():  # a device may have no end
+        raise BadInput(f"{path}: no such file")
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file") from None
+    except RecursionError:
+        raise BadInput(f"{path}: cannot be read as JSON: nested too deeply") from None
     except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read as JSON: {error}") from error
-    if not isinstance(report, dict) or "breaker" not in report:
+        raise BadInput(f"{path}: cannot be read as JSON: {str(error)[:200]}") from error
+    if not isinstance(report, dict) or "stages" not in report:
         return _scene(path)
+    try:
+        return _report(path, report)
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"{path}: not a whole report of shatter ({str(error)[:200]}); run it again") from error
+
+
+def _report(path: Path, report: dict) -> list[str]:
     lines = [f"{path}: report of shatter {report['shape']} --breaker {report['breaker']} --seed {report['seed']}"]
     lines += [f"  {step['stage']:<28} {step['seconds']:8.3f} s  {step['peak_mb']:6.0f} MB" for step in report["stages"]]
     lines.append(f"  {len(report['fragments'])} fragments, files: {', '.join(report['files'])}")

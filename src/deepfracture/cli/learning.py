@@ -10,19 +10,31 @@ from deepfracture.progress import log
 
 def simulate(
     name: str, *, out: Path | None, collisions: int, material: str, resolution: int, speed: tuple[float, float],
-    scene: str, refracture: int, frames: int, repeats: int, workers: int, seed: int, repair: bool,
+    scene: str, refracture: int, frames: int, repeats: int, workers: int | None, executor: str, address: str | None,
+    limit: float, memory: float | None, retry: bool, seed: int, repair: bool,
 ) -> None:  # fmt: skip
     """Fill the data set `out` with simulated collisions of the shape `name`; goes on where it stopped."""
     shape = api.load(name, repair=repair)
     out = out or Path("data") / shape.name
     dataset = api.simulate(
         shape, out, collisions=collisions, material=material, resolution=resolution, speed=speed, scene=scene,
-        refracture=refracture, frames=frames, repeats=repeats, workers=workers, seed=seed,
+        refracture=refracture, frames=frames, repeats=repeats, workers=workers, executor=executor, address=address,
+        limit=limit, memory=memory, retry=retry, seed=seed,
     )  # fmt: skip
     log.info(
-        "%s: %d patterns from %d collisions (%d broke nothing, %d failed), largest impulse %.0f N s",
-        out, len(dataset), dataset.tried, dataset.unbroken, dataset.failed, dataset.max_impulse,
+        "%s: %d patterns from %d collisions (%d broke nothing, %d failed)%s",
+        dataset.path, len(dataset), dataset.tried, dataset.unbroken, dataset.failed,
+        f", largest impulse {dataset.max_impulse:.0f} N s" if len(dataset) else "",
     )  # fmt: skip
+
+
+def convert(old: Path, new: Path) -> None:
+    """Copy the data set `old`, of this or a former format, to `new`; goes on where it stopped."""
+    from deepfracture.dataset import convert as run
+
+    dataset, damaged = run(old, new)
+    lost = f", {damaged} damaged ones left out: simulate {dataset.shape.name} again to fill the gaps" if damaged else ""
+    log.info("%s: %d entries, %d of them patterns%s", dataset.path, dataset.tried, len(dataset), lost)
 
 
 def train(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset
 from deepfracture.evaluate.collision import Answer, Collision, Measured, measure
 from deepfracture.evaluate.sensitivity import sensitivities
+from deepfracture.files import replacing
 from deepfracture.progress import track
 from deepfracture.types import BadInput, Impact, Shape
 
@@ -45,9 +45,8 @@ class Evaluation:
     def save(self, path: Path, **more: Any) -> None:
         """Write everything, and `more` beside it, as JSON."""
         value = {"format": FORMAT, **more, **asdict(self)}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
 def evaluate(held: Dataset, sources: Mapping[str, PatternSource], *, draws: int, seed: int) -> Evaluation:

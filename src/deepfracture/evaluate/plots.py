@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 from deepfracture.compare import MEASURES
 from deepfracture.evaluate.evaluation import Evaluation
 from deepfracture.evaluate.summary import Interval, Summary, mott_larger, relative_volumes, simulated
+from deepfracture.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,6 +102,5 @@ def _figure(size: tuple[float, float]) -> tuple[Figure, Axes]:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
-    figure.savefig(temporary, dpi=110)
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=110)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,7 @@ from deepfracture.compare import MEASURES
 from deepfracture.evaluate.evaluation import Evaluation
 from deepfracture.evaluate.plots import plot_counts, plot_scores, plot_volumes
 from deepfracture.evaluate.summary import BASELINE, Interval, Summary, floors, simulated, summarise
+from deepfracture.files import replacing
 
 UNITS = {"centre": "m", "chamfer": "m", "division": "bits"}
 """Of measures that are not ratios."""
@@ -138,6 +138,5 @@ def _plain(value: Any) -> Any:
 
 
 def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deepfracture.files import replacing
 from deepfracture.types import BadInput, Floats32, Grid
 
 KEY = "deepfracture"
@@ -25,9 +25,8 @@ def write(path: Path, kind: str, arrays: Mapping[str, NDArray], facts: Mapping[s
 
     text = json.dumps({"kind": kind, **facts})
     tidy = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    scratch.write_bytes(save(tidy, {KEY: text}))
-    os.replace(scratch, path)
+    with replacing(path) as temporary:
+        temporary.write_bytes(save(tidy, {KEY: text}))
 
 
 def read(path: Path, kind: str) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -46,7 +45,7 @@ def read(path: Path, kind: str) -> tuple[dict[str, NDArray], dict[str, Any]]:
             if facts["kind"] != kind:
                 raise BadInput(f"{path}: a {facts['kind']}, not a {kind}")
             return {name: file.get_tensor(name) for name in file.keys()}, facts  # noqa: SIM118 (no mapping)
-    except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
+    except (SafetensorError, ValueError, KeyError, TypeError, OSError, RecursionError) as error:
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: not a {kind} of deepfracture, or damaged; train it again") from error

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deepfracture.extras import need
+from deepfracture.files import replacing
 from deepfracture.learn.choice import FAINT, VARIETY
 from deepfracture.learn.field import CRUMB
 from deepfracture.learn.lattice import Lattice
@@ -40,13 +41,9 @@ def export_onnx(model: Model, path: Path) -> int:
     Raises:
         BadInput: onnx is not installed.
     """
-    import os
-
     data = onnx_graph(model).SerializeToString()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    scratch.write_bytes(data)
-    os.replace(scratch, path)
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
     return len(data)
 
 

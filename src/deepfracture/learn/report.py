@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from deepfracture.dataset import Dataset
+from deepfracture.files import replacing
 from deepfracture.learn.memory import Recall
 from deepfracture.learn.settings import Config
 
@@ -111,9 +111,8 @@ def card_text(dataset: Dataset, config: Config, command: str, seed: int, size: i
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    scratch.write_bytes(content)
-    os.replace(scratch, path)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def write_card(path: Path, text: str) -> None:

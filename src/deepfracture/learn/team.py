@@ -71,6 +71,15 @@ def assemble(device: torch.device) -> Iterator[Team]:
         dist.destroy_process_group()
 
 
+def refuse_team() -> None:
+    """For a training that one process does in minutes.
+
+    Raises:
+        BadInput: torchrun has started several."""
+    if _number("WORLD_SIZE", 1) > 1:
+        raise BadInput("preset waves trains in one process, in minutes: leave torchrun out, or choose --preset paper")
+
+
 def pick_device(name: str) -> torch.device:
     """A usable torch device; "auto": this process's GPU if there is one, else the CPU.
 

@@ -32,8 +32,10 @@ from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.prediction import Model, save_model
 from deepfracture.learn.report import Card, Point, card_text, write_card, write_curve
 from deepfracture.learn.settings import Config
+from deepfracture.learn.spill import on_disk, spilt
 from deepfracture.learn.targets import anchors, target_of
-from deepfracture.learn.team import pick_device
+from deepfracture.learn.team import pick_device, refuse_team
+from deepfracture.lock import alone
 from deepfracture.progress import log, stage, track
 from deepfracture.types import BadInput, Grid
 
@@ -83,12 +85,18 @@ def train(
         device: A torch device, or "auto" for the GPU if there is one.
 
     Raises:
-        BadInput: The data set is empty, the budget makes no sense, or the checkpoint is another run's.
+        BadInput: The data set is empty, the budget makes no sense, the checkpoint is another run's, or another process
+            trains in `out`.
     """
+    refuse_team()
     budget = Budget(epochs, minutes)
-    out.mkdir(parents=True, exist_ok=True)
+    with alone(out):
+        return _trained(dataset, out, config, budget, resume, device, seed)
+
+
+def _trained(dataset: Dataset, out: Path, config: Config, budget: Budget, resume: bool, device: str, seed: int) -> Card:
     with stage("training data"):
-        lesson = _Lesson.of(dataset, config)
+        lesson = _Lesson.of(dataset, config, out)
     run = _Run(lesson, config, seed, pick_device(device))
     file = out / "checkpoint.safetensors"
     if resume and file.is_file():
@@ -99,7 +107,7 @@ def train(
         _train(run, budget, file, interrupted)
     model = run.model()
     found = recall(model, model.codebook, lesson.probes)
-    command = f"deepfracture train {dataset.path.name} --out {out.name} {budget} --seed {seed}"
+    command = f"deepfracture train {dataset.name} --out {out.name} {budget} --seed {seed}"
     about = {
         "command": command,
         "seed": seed,
@@ -158,7 +166,7 @@ def interrupt_later() -> Iterator[threading.Event]:
 
 @dataclass(frozen=True, eq=False)
 class _Lesson:
-    """The data set as the network sees it."""
+    """The data set as the network sees it: each sample is read once, and what grows with their number lies on disk."""
 
     dataset: Dataset
     body: Body
@@ -171,29 +179,29 @@ class _Lesson:
     probes: list[Probe]
 
     @staticmethod
-    def of(dataset: Dataset, config: Config) -> _Lesson:
+    def of(dataset: Dataset, config: Config, scratch: Path) -> _Lesson:
         if len(dataset) == 0:
             raise BadInput(f"{dataset.path}: no collision broke the shape yet; simulate more or faster ones")
         grid = Grid(dataset.settings.resolution)
         body = Body.of(grid, signed_distance(dataset.shape.mesh, grid))
         normaliser = Normaliser(dataset.max_impulse, config.features)
         watched = {int(i) for i in np.linspace(0, len(dataset) - 1, PROBES)}
-        impulses, probes, patterns, traits, somewhere = [], [], [], [], dataset[0].impact
-        for index, sample in enumerate(dataset):
+        channels = min(config.channels, max(record.fragments for record in dataset.samples))
+        places = anchors(body.points, channels)
+        targets = {
+            name: on_disk(scratch, (len(dataset), len(body.points)), kind)
+            for name, kind in {"channel": "u1", "next": "u1", "share": "f2", "weight": "f2"}.items()
+        }
+        impulses, probes, traits, somewhere = [], [], [], dataset.impacts()[0]
+        for index, sample in enumerate(track(dataset, name="targets", total=len(dataset))):
             impulses.append(normaliser(sample.impact))
-            patterns.append(sample.pattern)
-            traits.append(traits_of(sample.pattern, somewhere))  # only differences between patterns matter
+            found = traits_of(sample.pattern, somewhere)  # only differences between patterns matter
+            traits.append(replace(found, division=spilt(scratch, found.division)))
+            target = target_of(sample.pattern, body.voxels, places)
+            for name, array in targets.items():
+                array[index] = getattr(target, name)
             if index in watched:
                 probes.append(Probe.of(index, sample.pattern, body))
-        channels = min(config.channels, max(pattern.count for pattern in patterns))
-        places = anchors(body.points, channels)
-        taught = [
-            target_of(pattern, body.voxels, places) for pattern in track(patterns, name="targets", total=len(patterns))
-        ]
-        targets = {
-            name: np.stack([getattr(target, name) for target in taught])
-            for name in ("channel", "next", "share", "weight")
-        }
         rows, apart = np.stack(impulses).astype(np.float32), mean_distance(traits)
         choice = Choice(rows, np.zeros((len(rows), config.segment_size), np.float32), apart, fit(rows, apart))
         return _Lesson(dataset, body, normaliser, choice, targets, channels, probes)
@@ -218,7 +226,7 @@ class _Run:
             [self.weights[name] for name in self.learned], lr=config.learning_rate, fused=True
         )
         self.points = self._put(lesson.body.points.astype(np.float32))
-        self.targets = {name: self._put(value) for name, value in lesson.targets.items()}
+        self.targets = {name: torch.from_numpy(value) for name, value in lesson.targets.items()}
         self.generator = torch.Generator().manual_seed(seed)
         self.epoch, self.seconds, self.loss, self.rate = 0, 0.0, math.nan, 0.0
         self.curve: list[Point] = []
@@ -238,7 +246,7 @@ class _Run:
             self.rate = self.config.learning_rate * warm * max(0.5 * (1 + math.cos(math.pi * part)), 0.005)
             for group in self.optimiser.param_groups:
                 group["lr"] = self.rate
-            total += self._step(chosen.to(self.device)) * len(chosen)
+            total += self._step(chosen) * len(chosen)
         self.epoch += 1
         self.loss = total / count
         self.seconds += time.perf_counter() - start
@@ -247,16 +255,16 @@ class _Run:
 
     def _step(self, chosen: torch.Tensor) -> float:
         """One update: the chosen patterns at the same random voxels, so that one product gives all scores."""
-        where = torch.randint(len(self.points), (self.config.points,), generator=self.generator).to(self.device)
+        where = torch.randint(len(self.points), (self.config.points,), generator=self.generator)
+        rows = chosen[None, :], where[:, None]
+        truth = {name: values[rows].to(self.device) for name, values in self.targets.items()}
+        chosen, where = chosen.to(self.device), where.to(self.device)
         codes = torch.cat([self.impulse[chosen], self.weights["codes"][chosen]], dim=1)
         mixing = network.compose(self.weights, codes, torch).transpose(0, 1)  # (basis, patterns, channels)
         scores = network.basis(self.weights, self.points[where], torch) @ mixing.reshape(len(mixing), -1)
         scores = scores.view(len(where), len(chosen), -1)
-        rows = chosen[None, :], where[:, None]
-        mine, beyond = (
-            scores.gather(2, self.targets[name][rows].long()[..., None])[..., 0] for name in ("channel", "next")
-        )
-        share, weight = self.targets["share"][rows].float(), self.targets["weight"][rows].float()
+        mine, beyond = (scores.gather(2, truth[name].long()[..., None])[..., 0] for name in ("channel", "next"))
+        share, weight = truth["share"].float(), truth["weight"].float()
         loss = (weight * (scores.logsumexp(dim=-1) - share * mine - (1 - share) * beyond)).mean()
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()

@@ -61,5 +61,5 @@ def kind_of(path: Path | str) -> str:
     try:
         with safe_open(path, framework="numpy") as file:
             return str(json.loads((file.metadata() or {})[KEY])["kind"])
-    except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
+    except (SafetensorError, ValueError, KeyError, TypeError, OSError, RecursionError) as error:
         raise BadInput(f"{path}: not a model of deepfracture, or damaged; train it again") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch  # noqa: TID253  (the room of torch)
@@ -16,6 +17,7 @@ from deepfracture.learn.field import Body
 from deepfracture.learn.fields.settings import FieldConfig
 from deepfracture.learn.memory import Probe
 from deepfracture.learn.normaliser import Normaliser
+from deepfracture.learn.spill import on_disk
 from deepfracture.progress import track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Volume
 
@@ -27,7 +29,7 @@ RIDGE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """Impulses and GS-SDFs, in memory."""
+    """Impulses in memory and GS-SDFs on disk: each sample is read once."""
 
     dataset: Dataset
     body: Body
@@ -41,8 +43,8 @@ class Lesson:
     probes: list[Probe]
 
     @staticmethod
-    def of(dataset: Dataset, config: FieldConfig) -> Lesson:
-        """Read and encode all samples; `config` has its resolutions spelt out.
+    def of(dataset: Dataset, config: FieldConfig, scratch: Path) -> Lesson:
+        """Read and encode all samples; `config` has its resolutions spelt out, `scratch` is the folder of the run.
 
         Raises:
             BadInput: The data set is empty."""
@@ -54,7 +56,7 @@ class Lesson:
         assert config.resolutions is not None
         count = len(dataset)
         watched = {int(i) for i in np.linspace(0, count - 1, PROBES)}
-        fields = [torch.empty((count, r, r, r), dtype=torch.float16) for r in config.resolutions]
+        fields = [torch.from_numpy(on_disk(scratch, (count, r, r, r), np.float16)) for r in config.resolutions]
         impulses, probes = [], []
         for index, sample in enumerate(track(dataset, name="targets", total=count)):
             impulses.append(normaliser(sample.impact))

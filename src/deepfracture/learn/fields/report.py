@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from deepfracture.dataset import Dataset
 from deepfracture.learn.fields.settings import FieldConfig
 from deepfracture.learn.memory import Recall
-from deepfracture.learn.report import COLUMNS, Point
+from deepfracture.learn.report import COLUMNS, Point, replace_file
 
 STABLE = 4e-4
 """The L2 [m^2] from which the paper finds that fragments are stable (supplement)."""
@@ -66,7 +65,7 @@ def field_card(
         [
             f"Field model ({config.preset}) of {settings.shape.name} at r = {settings.resolution}",
             "",
-            f"data      {len(dataset)} patterns in {dataset.path.name}, {settings.material.name}, "
+            f"data      {len(dataset)} patterns in {dataset.name}, {settings.material.name}, "
             f"seed {settings.seed}, I_max {dataset.max_impulse:.1f} N s",
             f"training  {command}",
             f"          {last.epoch} epochs, {last.seconds:.0f} s, {config}",
@@ -82,9 +81,3 @@ def field_card(
             "",
         ]
     )
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    scratch.write_bytes(content)
-    os.replace(scratch, path)

@@ -55,7 +55,6 @@ class Teacher:
     ) -> None:  # fmt: skip
         self.lesson, self.config, self.device, self.team, self.precision = lesson, config, device, team, precision
         self.impulse = impulse.to(device)
-        self.fields = [field.to(device) for field in lesson.fields]
         self.surfaces = [surface.to(device) for surface in lesson.surfaces]
         self.points = torch.from_numpy(lesson.body.points).float().to(device)
         self.voxels = [torch.from_numpy(axis).to(device) for axis in lesson.body.voxels]
@@ -80,8 +79,9 @@ class Teacher:
             where: Random voxels inside, for the coordinate network, shape (p,).
         """
         mine, weights = self.team.part(chosen)
+        truth = [field[mine].to(self.device).float() for field in self.lesson.fields]
         mine, weights, noise = mine.to(self.device), weights.to(self.device), noise[mine].to(self.device)
-        points, truth = None, [field[mine].float() for field in self.fields]
+        points = None
         if where is not None:
             where = where.to(self.device)
             points, truth = self.points[where], [_at(truth[0], self.voxels, where)]

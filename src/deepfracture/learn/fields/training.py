@@ -11,7 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,14 @@ from deepfracture.learn.checkpoint import read, write
 from deepfracture.learn.fields.codes import draw_siren, encode
 from deepfracture.learn.fields.lesson import Lesson
 from deepfracture.learn.fields.model import FieldModel, build, prepared, save_field_model
-from deepfracture.learn.fields.report import FieldPoint, field_card, replace_file, write_field_curve
+from deepfracture.learn.fields.report import FieldPoint, field_card, write_field_curve
 from deepfracture.learn.fields.settings import PIX2PIX, FieldConfig
 from deepfracture.learn.fields.teaching import Teacher, faster_precision, learned, reads_points
 from deepfracture.learn.memory import Recall, recall
-from deepfracture.learn.report import Card
+from deepfracture.learn.report import Card, write_card
 from deepfracture.learn.team import Team, assemble, pick_device
 from deepfracture.learn.training import KEEP_EVERY, LOOKS, Budget, interrupt_later
+from deepfracture.lock import alone
 from deepfracture.progress import log, stage, track
 from deepfracture.types import BadInput, Floats32
 
@@ -51,15 +52,15 @@ def train_field(
         device: A torch device, or "auto" for the GPU if there is one.
 
     Raises:
-        BadInput: The data set is empty, the budget or a setting makes no sense, or the checkpoint is another run's.
+        BadInput: The data set is empty, the budget or a setting makes no sense, the checkpoint is another run's, or
+            another process trains in `out`.
     """
     budget, where = Budget(epochs, minutes), pick_device(device)
     config = config.at(dataset.settings.resolution)
-    out.mkdir(parents=True, exist_ok=True)
     file = out / "checkpoint.safetensors"
-    with assemble(where) as team:
+    with assemble(where) as team, alone(out) if team.leads else nullcontext():
         with stage("training data"):
-            lesson = Lesson.of(dataset, config)
+            lesson = Lesson.of(dataset, config, out)
         run = _Run(lesson, config, seed, where, team)
         if resume and file.is_file():
             run.restore(file)
@@ -98,7 +99,7 @@ def _finish(run: _Run, out: Path, budget: str) -> Card:
     config, dataset = run.config, run.lesson.dataset
     found = run.recall()
     command = (
-        f"deepfracture train {dataset.path.name} --out {out.name} --preset {config.preset} --width {config.width:g} "
+        f"deepfracture train {dataset.name} --out {out.name} --preset {config.preset} --width {config.width:g} "
         f"--features {config.features} {budget}"
     )
     about = {
@@ -115,7 +116,7 @@ def _finish(run: _Run, out: Path, budget: str) -> Card:
     save_field_model(path, model)
     write_field_curve(out, run.curve)
     text = field_card(dataset, config, command, model.weights, path.stat().st_size, last, found)
-    replace_file(out / "card.txt", text.encode())
+    write_card(out / "card.txt", text)
     return Card(path, last, found, text)
 
 
