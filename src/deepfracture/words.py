@@ -8,9 +8,12 @@ from difflib import get_close_matches
 ALIKE = 0.6
 """Least share of letters in common: a transposition in a word of four has 0.75, two unlike words rarely 0.5."""
 
+LONGEST = 60
+"""Letters of a word that are looked at."""
+
 
 def meant(word: str, known: Iterable[str]) -> str:
     """What to add to a message about an unknown `word`: "; did you mean 'pot'?", or nothing if none is near."""
     names = {name.lower(): name for name in known}
-    near = get_close_matches(word.strip().lower(), names, n=1, cutoff=ALIKE)
+    near = get_close_matches(word.strip().lower()[:LONGEST], names, n=1, cutoff=ALIKE)
     return f"; did you mean {names[near[0]]!r}?" if near else ""

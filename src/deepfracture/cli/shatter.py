@@ -12,9 +12,11 @@ import numpy as np
 
 from deepfracture.api import scene_breaker, throw_scene
 from deepfracture.cli.formats import check_formats, write_formats
+from deepfracture.files import filling
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import faults, load_shape
+from deepfracture.lock import alone
 from deepfracture.progress import Stage, collect_stages, log, stage
 from deepfracture.types import Material
 from deepfracture.world import Outcome, Scene, load_scene, save_scene
@@ -23,15 +25,20 @@ from deepfracture.world import simulate as run_world
 if TYPE_CHECKING:
     from .main import Throw
 
+REPORT = "report.json"
+
 
 def shatter(
     name: str, *, breaker: str, out: Path, material: str, throw: Throw, scene: Path | None, model: Path | None,
-    dataset: Path | None, resolution: int, roughness: float, engine: str, seed: int | None, repair: bool, film: bool,
+    dataset: Path | None, resolution: int, roughness: float, budget: int | None = None, engine: str,
+    seed: int | None, repair: bool, film: bool,
     formats: tuple[str, ...] | None = None,
 ) -> None:  # fmt: skip
-    """Break the shape `name` (or replay `scene`) and write `formats`, or the usual ones, into the folder `out`."""
+    """Break the shape `name` (or replay `scene`) and write `formats`, or the usual ones, into the folder `out`.
+
+    The files appear there together, the report last. BadInput if another process is at that folder."""
     check_formats(formats or ())
-    with collect_stages() as stages:
+    with alone(out), collect_stages() as stages:
         with stage("load"):
             if scene is None:
                 shape = load_shape(name, repair=repair)
@@ -49,26 +56,21 @@ def shatter(
             seam = scene_breaker(
                 chosen, played, shapes, materials,
                 model=model, dataset=dataset, resolution=resolution, roughness=roughness,
+                budget=budget,
             )  # fmt: skip
         with stage("world, with the break"):
             rng = np.random.default_rng(played.seed)
             outcome = run_world(played, shapes, seam, rng, materials=materials)
-        files = _write(outcome, played, out, formats, film=film)
-    made_of = {id(shape): materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
-    report = _report(outcome, played, made_of, chosen, stages, files)
-    path = out / "report.json"
-    _replace(path, json.dumps(report, indent=1) + "\n")
+        made_of = {id(shape): materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
+        with filling(out, last=REPORT) as folder:
+            files = write_formats(outcome, played, folder, formats, film=film)
+            with stage("write scene.toml"):
+                save_scene(_portable(played, out), folder / "scene.toml")
+            files.append("scene.toml")
+            report = _report(outcome, played, made_of, chosen, stages, files)
+            (folder / REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     log.info("%s", _summary(report, outcome))
-    log.info("%s", "  ".join(str(out / file) for file in [*files, path.name]))
-
-
-def _write(outcome: Outcome, scene: Scene, out: Path, formats: tuple[str, ...] | None, *, film: bool) -> list[str]:
-    """Everything but the report; returns the names of what was written."""
-    out.mkdir(parents=True, exist_ok=True)
-    files = write_formats(outcome, scene, out, formats, film=film)
-    with stage("write scene.toml"):
-        save_scene(_portable(scene, out), out / "scene.toml")
-    return [*files, "scene.toml"]
+    log.info("%s", "  ".join(str(out / file) for file in [*files, REPORT]))
 
 
 def _portable(scene: Scene, out: Path) -> Scene:
@@ -131,9 +133,3 @@ def _summary(report: dict, outcome: Outcome) -> str:
         f"{report['shape']}: {hit}: {len(report['fragments'])} fragments, volume kept to "
         f"{report['volume_error']:.1e}, {outcome.recording.duration:.1f} s of animation"
     )
-
-
-def _replace(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)

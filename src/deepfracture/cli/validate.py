@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 from pathlib import Path
 
 from deepfracture.extras import need
+from deepfracture.files import replacing
 from deepfracture.progress import log
 
 COLUMNS = f"{'case':<60} {'exact':>11} {'ours':>11} {'error':>9} {'limit':>9}  {'ok':<3} {'N':>5} {'seconds':>8}"
@@ -49,7 +49,5 @@ def _line(row: dict) -> str:
 
 
 def _write(path: Path, rows: list[dict]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

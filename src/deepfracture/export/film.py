@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,26 @@ def write_pictures(
                 count += 1
         finally:
             writer.close()  # also where a picture fails: else the encoder would write on after its file is gone
+        _check_whole(temporary)
     return count
+
+
+def _check_whole(path: Path) -> None:
+    """The encoder does not say that it could not write to the end: the boxes of the file have to add up to it
+    (ISO 14496-12, 4.2), and its index has to be among them."""
+    size, place, kinds = path.stat().st_size, 0, set()
+    with open(path, "rb") as file:
+        while place < size:
+            file.seek(place)
+            head = file.read(16)
+            length = int.from_bytes(head[:4], "big")
+            length = int.from_bytes(head[8:], "big") if length == 1 else length
+            kinds.add(head[4:8])
+            if length < 8:
+                break
+            place += length
+    if place != size or not {b"moov", b"mdat"} <= kinds:
+        raise RuntimeError(f"{path.name}: the encoder broke off")
 
 
 def film_frames(recording: Recording, rate: int) -> list[int]:

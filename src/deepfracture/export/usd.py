@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,6 +43,8 @@ JUST = 1e-3
 """Frames before it comes that a body is still away: scales are drawn out between samples, visibility is not."""
 UPRIGHT_TOL = 1e-6
 """Cosine of the angle by which an axis may miss the vertical and count as up."""
+EPOCH = 315619200
+"""2 January 1980: no zip file is older, wherever on earth."""
 
 
 def write_usd(
@@ -104,11 +105,13 @@ def _write_textures(textures: dict[str, bytes], folder: Path) -> None:
 def _write_package(stage: Usd.Stage, textures: dict[str, bytes], folder: str, path: Path) -> None:
     from pxr import Sdf, UsdUtils
 
-    with replacing(path) as temporary, tempfile.TemporaryDirectory() as scratch:
-        source = Path(scratch) / f"{path.stem}.usdc"
-        (source.parent / folder).mkdir()
+    with replacing(path) as temporary:
+        source = temporary.parent / "packed" / f"{path.stem}.usdc"
+        (source.parent / folder).mkdir(parents=True)
         _write_textures(textures, source.parent / folder)
         stage.GetRootLayer().Export(str(source))
+        for file in source.parent.rglob("*"):
+            os.utime(file, (EPOCH, EPOCH))  # which the package keeps: the same recording is to give the same bytes
         UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(source)), str(temporary))
 
 

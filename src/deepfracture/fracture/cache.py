@@ -65,10 +65,12 @@ def distances(mesh: Mesh, lattice: Lattice, *, outside: float, keep: bool = True
 
 def _load_array(path: Path) -> Floats32:
     try:
-        with open(path, "rb") as file:
-            return np.load(file, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise BadInput(f"{path}: not a saved distance lattice ({error})") from error
+        # A map is refused where the file is shorter than its head says; `np.load` would take that memory first.
+        return np.array(np.lib.format.open_memmap(path, mode="r"))
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # numpy raises errors of many kinds on damaged files
+        raise BadInput(f"{path}: not a saved distance lattice ({type(error).__name__})") from error
 
 
 def _save_array(values: Floats32, path: Path) -> None:

@@ -88,17 +88,20 @@ class ElasticBody:
         with open(path, "rb") as raw:
             if raw.read(2) != b"PK":
                 raise BadInput(f"{path}: not a saved elastic body; delete it and prepare the body again")
-        with np.load(path, allow_pickle=False) as file:
-            if "format" not in file or str(file["format"]) != FORMAT:
-                raise BadInput(f"{path}: not a saved elastic body; delete it and prepare the body again")
-            return ElasticBody(
-                mesh=Mesh(file["vertices"], file["faces"]),
-                poisson=float(file["poisson"]),
-                factor=file["factor"],
-                pivots=file["pivots"],
-                single_layer=file["single_layer"],
-                centre=file["centre"],
-            )
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                if str(file["format"]) != FORMAT:
+                    raise ValueError(str(file["format"]))
+                return ElasticBody(
+                    mesh=Mesh(file["vertices"], file["faces"]),
+                    poisson=float(file["poisson"]),
+                    factor=file["factor"],
+                    pivots=file["pivots"],
+                    single_layer=file["single_layer"],
+                    centre=file["centre"],
+                )
+        except Exception as error:  # numpy and zipfile raise errors of many kinds on damaged files
+            raise BadInput(f"{path}: not a saved elastic body; delete it and prepare the body again") from error
 
 
 @dataclass(frozen=True, eq=False)

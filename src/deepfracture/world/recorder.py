@@ -63,13 +63,13 @@ class _Line:
         """Frames in which it existed so far."""
         return len(self.positions) // 3
 
-    def at(self, k: int) -> tuple[Floats, Floats]:
-        """Position and rotation in its frame k."""
-        return np.array(self.positions[3 * k : 3 * k + 3]), np.array(self.quats[4 * k : 4 * k + 4])
+    def has(self, frame: int) -> bool:
+        """Whether it existed in a frame of the recording."""
+        return 0 <= frame - self.start < self.count
 
     def rigid(self) -> Rigid:
         mass = self.body.mass
-        velocities, spins = _rows(self.velocities, 3), _rows(self.spins, 3)
+        velocities, spins = _rows([self.velocities], 3), _rows([self.spins], 3)
         return Rigid(mass.mass, mass.centre, mass.inertia, velocities, spins, self.body.hulls)
 
 
@@ -105,14 +105,17 @@ class Recorder:
         """Where everything that moves was at a frame; between two frames it goes straight from one to the other."""
         first = min(int(frame), self.frames - 1)
         share = min(frame - first, 1.0)
-        poses = []
-        for number, line in self._lines.items():
-            k = first - line.start
-            if 0 <= k < line.count:
-                here, there = line.at(k), line.at(min(k + 1, line.count - 1))
-                place = here if share == 0 else _between(here, there, share)
-                poses.append(Pose(number, line.name, line.kind, line.mesh, line.source, line.whole, *place))
-        return poses
+        there = [(n, line, first - line.start) for n, line in self._lines.items() if line.has(first)]
+        places = _rows([line.positions[3 * k : 3 * k + 3] for _, line, k in there], 3)
+        quats = _rows([line.quats[4 * k : 4 * k + 4] for _, line, k in there], 4)
+        if share > 0:
+            then = [(line, min(k + 1, line.count - 1)) for _, line, k in there]
+            places = (1 - share) * places + share * _rows([line.positions[3 * k : 3 * k + 3] for line, k in then], 3)
+            quats = _turned(quats, _rows([line.quats[4 * k : 4 * k + 4] for line, k in then], 4), share)
+        return [
+            Pose(n, line.name, line.kind, line.mesh, line.source, line.whole, place, quat)
+            for (n, line, _), place, quat in zip(there, places, quats, strict=True)
+        ]
 
     def mesh(self, name: str) -> Mesh:
         """The mesh of a body that is there, or was."""
@@ -126,8 +129,8 @@ class Recorder:
                 line.mesh,
                 line.source,
                 line.start,
-                _rows(line.positions, 3),
-                _rows(line.quats, 4),
+                _rows([line.positions], 3),
+                _rows([line.quats], 4),
                 line.whole,
                 line.rigid(),
             )
@@ -155,15 +158,16 @@ class Recorder:
         return similarity
 
 
-def _between(here: tuple[Floats, Floats], there: tuple[Floats, Floats], share: float) -> tuple[Floats, Floats]:
-    """A share of the way from one position and rotation to another."""
-    turn = there[1] if here[1] @ there[1] >= 0 else -there[1]
-    quat = (1 - share) * here[1] + share * turn
-    return (1 - share) * here[0] + share * there[0], quat / np.linalg.norm(quat)
+def _turned(here: Floats, there: Floats, share: float) -> Floats:
+    """A share of the way from rotations to others, shape (n, 4)."""
+    there = np.where(np.einsum("ni,ni->n", here, there)[:, None] >= 0, there, -there)
+    quats = (1 - share) * here + share * there
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 
 
-def _rows(numbers: array, width: int) -> Floats:
-    return np.array(numbers).reshape(-1, width)
+def _rows(parts: list[array], width: int) -> Floats:
+    """Numbers one after another as rows."""
+    return np.frombuffer(b"".join(parts)).reshape(-1, width).copy()
 
 
 def ball_mesh(radius: float) -> Mesh:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from deepfracture.types import Floats
 from deepfracture.world.engine import Motion, rotation
@@ -15,15 +14,15 @@ PATIENCE = ((SHIFT, TURN, REST_TIME), (0.1, 0.3, 1.5))
 """... or one that has rocked about in a little more room for longer. It wakes when something moves it further."""
 
 
-@dataclass(frozen=True, eq=False)
+_LIMITS = tuple((shift**2, math.cos(turn / 2), patience - 1e-9) for shift, turn, patience in PATIENCE)
+"""Squared distance, cosine of half the angle, time."""
+
+
+@dataclass(eq=False)
 class _Anchor:
     centre: Floats
     quat: Floats
     age: float
-
-    def left(self, centre: Floats, quat: Floats, shift: float, turn: float) -> bool:
-        turned = 2 * np.arccos(min(abs(float(self.quat @ quat)), 1.0))
-        return bool(np.linalg.norm(centre - self.centre) > shift or turned > turn)
 
 
 class Rest:
@@ -34,12 +33,16 @@ class Rest:
 
     def update(self, body: int, motion: Motion, centre: Floats, dt: float) -> bool:
         """Whether the body rests, `dt` after it was last asked about; `centre` of mass in its mesh frame."""
-        here = motion.position + rotation(motion.quat_wxyz) @ centre
+        here, quat = motion.position + rotation(motion.quat_wxyz) @ centre, motion.quat_wxyz
         rests = False
-        for level, (shift, turn, patience) in enumerate(PATIENCE):
+        for level, (shift, turn, patience) in enumerate(_LIMITS):
             anchor = self._anchors.get((body, level))
-            if anchor is None or anchor.left(here, motion.quat_wxyz, shift, turn):
-                anchor = _Anchor(here, motion.quat_wxyz, -dt)
-            self._anchors[body, level] = _Anchor(anchor.centre, anchor.quat, anchor.age + dt)
-            rests |= anchor.age + dt > patience - 1e-9
+            if anchor is None or _square(here - anchor.centre) > shift or abs(anchor.quat @ quat) < turn:
+                anchor = self._anchors[body, level] = _Anchor(here, quat, -dt)
+            anchor.age += dt
+            rests |= anchor.age > patience
         return rests
+
+
+def _square(vector: Floats) -> float:
+    return float(vector @ vector)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import reprlib
 import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from deepfracture.files import replacing
 from deepfracture.types import BadInput, Floats, Shape
 from deepfracture.words import meant
 from deepfracture.world.engine import ENGINES, rotation
@@ -25,6 +27,10 @@ Vector = tuple[float, float, float]
 STEEL = 7800.0
 """Density of the balls that the builders throw [kg/m^3]."""
 GRAVITY = 9.81
+LARGEST = 64 << 20
+"""Bytes of a scene file."""
+MOST_FRAMES, MOST_STEPS = 100_000, 10_000_000
+"""Of a whole scene: half an hour at 60 frames a second, eleven hours at 240 steps."""
 UPRIGHT = {"z": (1.0, 0.0, 0.0, 0.0), "y": (0.5**0.5, 0.5**0.5, 0.0, 0.0), "x": (0.5**0.5, 0.0, -(0.5**0.5), 0.0)}
 """Rotation (w, x, y, z) that turns this axis of the file to the world's z."""
 
@@ -50,7 +56,7 @@ class Placed:
     def __post_init__(self) -> None:
         _text(self, "shape", "material")
         if not isinstance(self.repair, bool):
-            raise BadInput(f"repair must be true or false, got {self.repair!r}")
+            raise BadInput(f"repair must be true or false, got {_shown(self.repair)}")
         _vectors(self, position=3, quat_wxyz=4, velocity=3, spin=3)
         _unit(self)
 
@@ -162,14 +168,18 @@ class Scene:
             raise BadInput(
                 f"steps_per_second must be a multiple of frame_rate, got {self.steps_per_second} and {self.frame_rate}"
             )
-        if self.engine not in ENGINES:
+        if self.frame_rate > MOST_FRAMES / self.duration or self.steps_per_second > MOST_STEPS / self.duration:
             raise BadInput(
-                f"engine must be one of {', '.join(ENGINES)}, got {self.engine!r}{meant(self.engine, ENGINES)}"
+                f"duration must be shorter: {self.duration:g} s have more than {MOST_FRAMES} frames "
+                f"or {MOST_STEPS} steps"
             )
+        if not isinstance(self.engine, str) or self.engine not in ENGINES:
+            near = meant(str(self.engine), ENGINES)
+            raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {_shown(self.engine)}{near}")
         if self.again not in ("anything", "balls"):
-            raise BadInput(f"again must be anything or balls, got {self.again!r}")
+            raise BadInput(f"again must be anything or balls, got {_shown(self.again)}")
         if not isinstance(self.breaker, str):
-            raise BadInput(f"breaker must be text, got {self.breaker!r}")
+            raise BadInput(f"breaker must be text, got {_shown(self.breaker)}")
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -178,17 +188,32 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     if path.suffix not in (".toml", ".json"):
         raise BadInput(f"{path}: a scene is a .toml or .json file")
     try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+        data = _parsed(path)
         scene = _scene(data)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise BadInput(f"{path}: cannot be read: {reason}") from error
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise BadInput(f"{path}: not {path.suffix[1:].upper()}: {str(error).splitlines()[0]}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
     return replace(scene, shapes=tuple(_beside(path, placed) for placed in scene.shapes))
+
+
+def _parsed(path: Path) -> Any:
+    """What the file says, or BadInput that has yet to name it."""
+    try:
+        if path.exists() and not path.is_file():  # a device may have no end
+            raise BadInput("is not a file")
+        if path.stat().st_size > LARGEST:
+            raise BadInput(f"larger than {LARGEST >> 20} MB, too large for a scene")
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+    except BadInput:
+        raise
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise BadInput("cannot be read: not UTF-8 text") from error
+    except RecursionError as error:
+        raise BadInput(f"not {path.suffix[1:].upper()} of a scene: nested too deeply") from error
+    except ValueError as error:  # of the parsers, or a number of thousands of digits
+        raise BadInput(f"not {path.suffix[1:].upper()}: {str(error).splitlines()[0][:200]}") from error
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -198,9 +223,8 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
         raise BadInput(f"{path}: a scene is a .toml or .json file")
     data = {key: value for key, value in asdict(scene).items() if value is not None}
     text = _toml(data) if path.suffix == ".toml" else json.dumps(data, indent=2) + "\n"
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def standing(
@@ -262,7 +286,7 @@ def _tuple(vector: Floats) -> Vector:
 def _beside(path: Path, placed: Placed) -> Placed:
     """File names of shapes are relative to the scene's own folder."""
     file = path.parent / placed.shape
-    return replace(placed, shape=str(file)) if file.is_file() else placed
+    return replace(placed, shape=str(file)) if os.path.isfile(file) else placed  # also where no file can be called so
 
 
 # Reading: dictionaries into dataclasses, with the name of the field in every message.
@@ -273,7 +297,7 @@ def _scene(data: Any) -> Scene:
     for key, cls in (("shapes", Placed), ("balls", Ball), ("blocks", Block)):
         if key in known:
             if not isinstance(known[key], list):
-                raise BadInput(f"{key} must be a list of tables, got {known[key]!r}")
+                raise BadInput(f"{key} must be a list of tables, got {_shown(known[key])}")
             known[key] = tuple(_make(cls, entry, f"{key}[{i}]") for i, entry in enumerate(known[key]))
     if "floor" in known:
         known["floor"] = _make(Floor, known["floor"], "floor")
@@ -290,11 +314,13 @@ def _make(cls: type, data: Any, where: str) -> Any:
 
 def _known(cls: type, data: Any, where: str) -> dict[str, Any]:
     if not isinstance(data, Mapping):
-        raise BadInput(f"{where} must be a table, got {data!r}")
+        raise BadInput(f"{where} must be a table, got {_shown(data)}")
     names = [f.name for f in fields(cls)]
     for key in data:
         if key not in names:
-            raise BadInput(f"{where} has an unknown field {key!r}; it may have {', '.join(names)}{meant(key, names)}")
+            raise BadInput(
+                f"{where} has an unknown field {_shown(key)}; it may have {', '.join(names)}{meant(key, names)}"
+            )
     blank = cls.__dataclass_fields__
     for name in names:
         if name not in data and _required(blank[name]):
@@ -306,11 +332,31 @@ def _required(field: Any) -> bool:
     return field.default is MISSING and field.default_factory is MISSING
 
 
+def _finite(value: Any) -> bool:
+    """Whether it is a number that a float can hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def _shown(value: Any) -> str:
+    """A value in a message, abbreviated where it is long."""
+    return _short.repr(value)
+
+
+class _Short(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        """Python refuses to spell out integers of thousands of digits."""
+        return repr(x) if x.bit_length() < 200 else f"an integer of {x.bit_length()} bits"
+
+
+_short = _Short()
+_short.maxstring = _short.maxother = 60
+
+
 def _number(record: Any, *names: str) -> None:
     for name in names:
         value = getattr(record, name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise BadInput(f"{name} must be a finite number, got {value!r}")
+        if not _finite(value):
+            raise BadInput(f"{name} must be a finite number, got {_shown(value)}")
 
 
 def _positive(record: Any, *names: str) -> None:
@@ -330,8 +376,8 @@ def _at_least_zero(record: Any, *names: str) -> None:
 def _whole(record: Any, *names: str) -> None:
     for name in names:
         value = getattr(record, name)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-            raise BadInput(f"{name} must be a whole number, zero or more, got {value!r}")
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 64:
+            raise BadInput(f"{name} must be a whole number, zero or more and less than 2^64, got {_shown(value)}")
 
 
 def _unit(record: Any) -> None:
@@ -342,17 +388,15 @@ def _unit(record: Any) -> None:
 def _text(record: Any, *names: str) -> None:
     for name in names:
         if not isinstance(getattr(record, name), str) or not getattr(record, name):
-            raise BadInput(f"{name} must be text, got {getattr(record, name)!r}")
+            raise BadInput(f"{name} must be text, got {_shown(getattr(record, name))}")
 
 
 def _vectors(record: Any, **lengths: int) -> None:
     for name, length in lengths.items():
         value = getattr(record, name)
         good = isinstance(value, tuple | list) and len(value) == length
-        if not good or not all(
-            isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in value
-        ):
-            raise BadInput(f"{name} must be {length} finite numbers, got {value!r}")
+        if not good or not all(_finite(v) for v in value):
+            raise BadInput(f"{name} must be {length} finite numbers, got {_shown(value)}")
         object.__setattr__(record, name, tuple(float(v) for v in value))
 
 

@@ -201,11 +201,9 @@ class Stage:
         for body, motion in moving:
             rests = self._rest.update(body.number, motion, body.mass.centre, dt)
             everything &= rests or (body.kind == "ball" and self._leaves(motion, moving))
-            slow = np.linalg.norm(motion.velocity) < DROWSY_SPEED
-            calm = body.kind == "ball" or np.linalg.norm(motion.spin) < DROWSY_SPIN
             if lying and rests:
                 self.engine.slow(body.number, 0.0)
-            elif lying and slow and calm:
+            elif lying and _drowsy(body, motion):
                 self.engine.slow(body.number, float(np.exp(-DROWSINESS * dt)))
         return everything
 
@@ -342,6 +340,12 @@ class Stage:
         weight = np.array([0.0, 0.0, -body.mass.mass * self.scene.gravity * dt])
         gained = body.mass.mass * (after.velocity - before[body.number].velocity) - weight
         return Party(before[body.number], after, gained, body.kind == "ball")
+
+
+def _drowsy(body: Body, motion: Motion) -> bool:
+    """Whether it is about to come to rest: slow, and not spinning unless it is a ball."""
+    slow = np.linalg.norm(motion.velocity) < DROWSY_SPEED
+    return bool(slow and (body.kind == "ball" or np.linalg.norm(motion.spin) < DROWSY_SPIN))
 
 
 def _fixed(number: int, name: str, kind: str) -> Body:
