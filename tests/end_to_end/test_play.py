@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 from deepfracture.cli.main import main
-from deepfracture.play import Options, page
+from deepfracture.play import Options, page, server
+from deepfracture.play.player import Player
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "browser.py"))
 VIEW = {"width": 1000, "height": 640}
@@ -24,11 +25,25 @@ f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"""
 READY = "Click the object"
 
 
+PLAYERS = []
+"""Of all tabs, in the order in which they came."""
+
+
+def known(*given, **named):
+    PLAYERS.append(Player(*given, **named))
+    return PLAYERS[-1]
+
+
 @pytest.fixture(scope="module")
 def served():
     """A browser, and the address of a page that begins with the pot."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright for Python")
-    with page(Options("pot", port=0, upload_limit=1_000_000)) as url, sync_api.sync_playwright() as playwright:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        page(Options("pot", port=0, upload_limit=1_000_000)) as url,
+        sync_api.sync_playwright() as playwright,
+    ):
+        patch.setattr(server, "Player", known)
         browser = tools["start_browser"](playwright)
         yield browser, url
         browser.close()
@@ -72,16 +87,23 @@ def clay(image):
 
 
 def until_rest(tab):
-    """Until the last shot has done what it does, and two pictures are alike."""
+    """Until the last shot has done what it does: the world itself says so, pictures take long to tell."""
     tab.wait_for_function("() => !document.body.innerText.includes('The ball is on its way')")
-    before = picture(tab)
-    for _ in range(100):
-        tab.wait_for_timeout(500)
-        now = picture(tab)
-        if np.abs(now - before).max() < 8:
+    for _ in range(1200):
+        if not PLAYERS[0]._moves:
+            tab.wait_for_timeout(500)  # for the last picture
             return
-        before = now
+        tab.wait_for_timeout(100)
     raise AssertionError("the world never came to rest")
+
+
+def saved(tab, button, folder):
+    """The file that a button hands to the browser."""
+    with tab.expect_download() as waiting:
+        tab.get_by_role("button", name=button, exact=True).click()
+    file = folder / waiting.value.suggested_filename
+    waiting.value.save_as(file)
+    return file
 
 
 @pytest.mark.browser
@@ -119,16 +141,32 @@ def test_a_piece_can_be_shot_again(tab):
 
 @pytest.mark.browser
 def test_what_is_saved_replays_on_the_command_line(tab, tmp_path):
-    files = {}
-    for button in ("Scene", "GLB"):
-        with tab.expect_download() as waiting:
-            tab.get_by_role("button", name=button, exact=True).click()
-        files[button] = tmp_path / waiting.value.suggested_filename
-        waiting.value.save_as(files[button])
+    files = {button: saved(tab, button, tmp_path) for button in ("Scene", "GLB")}
     assert [file.name for file in files.values()] == ["scene.toml", "deepfracture.glb"]
     main(["shatter", "--scene", str(files["Scene"]), "--out", str(tmp_path / "out"), "--no-film"])
     # every mesh, every pose of every frame
     assert (tmp_path / "out" / "animation.glb").read_bytes() == files["GLB"].read_bytes()
+
+
+@pytest.mark.browser
+def test_the_usd_that_is_saved_has_every_piece_and_moves(tab, tmp_path):
+    usd = pytest.importorskip("pxr.Usd", reason="needs the usd extra")
+    geometry = pytest.importorskip("pxr.UsdGeom")
+    file = saved(tab, "USD", tmp_path)
+    assert file.name == "deepfracture.usdc"
+    stage = usd.Stage.Open(str(file))
+    meshes = [prim for prim in stage.Traverse() if prim.IsA(geometry.Mesh) and "fragment" in str(prim.GetPath())]
+    assert len(meshes) >= number(tab, "pieces in the world") > 2
+    assert stage.GetEndTimeCode() > stage.GetStartTimeCode()
+    cache = geometry.XformCache()
+    moved = []
+    for mesh in meshes:
+        places = []
+        for time in (stage.GetStartTimeCode(), stage.GetEndTimeCode()):
+            cache.SetTime(time)
+            places.append(np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())))
+        moved.append(np.abs(places[0] - places[1]).max())
+    assert max(moved) > 0.1
 
 
 @pytest.mark.browser
@@ -137,6 +175,19 @@ def test_looking_back_shows_it_whole_and_reset_makes_it_so(tab):
     tab.get_by_text("Nothing hit yet").wait_for()
     tab.wait_for_timeout(1000)
     assert clay(picture(tab)).sum() > 5000
+
+
+@pytest.mark.browser
+def test_the_film_that_is_saved_is_one(tab, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs the render extra")
+    file = saved(tab, "Film", tmp_path)  # of a world that has just begun anew: a short one
+    frames, seconds = ffmpeg.count_frames_and_secs(str(file))
+    assert file.name == "deepfracture.mp4" and frames > 10 and seconds > 0.2
+    reader = ffmpeg.read_frames(str(file))
+    width, height = next(reader)["size"]
+    first = np.frombuffer(next(reader), np.uint8).reshape(height, width, 3).astype(int)
+    assert clay(first).sum() > 1000  # the pot stands in it
+    reader.close()
 
 
 @pytest.mark.browser

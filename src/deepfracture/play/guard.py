@@ -4,13 +4,23 @@ All of this is inside viser; the tests of the page notice if a version of it has
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
+
+from deepfracture.progress import log
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
 
+FARTHEST = 1e4
+"""From where one may shoot [m]."""
+LONGEST = 2_000_000
+"""Message that a browser may send [bytes]: parts of uploads have half a megabyte."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -50,6 +60,52 @@ def turn_away(server: ViserServer, client: ClientHandle) -> None:
     connection = server._websock_server._live_connections.get(client.client_id)
     if connection is not None:
         asyncio.run_coroutine_threadsafe(connection.close(1008), server.get_event_loop())
+
+
+@contextmanager
+def calm() -> Iterator[None]:
+    """One line in the terminal about a connection that sent what no page sends, instead of all that it sent."""
+    chatter = logging.getLogger("websockets.server")
+
+    def tell(record: logging.LogRecord) -> bool:
+        if record.exc_info is None or record.getMessage() != "connection handler failed":
+            return True
+        log.warning(
+            "play: a connection was closed that sent what no page sends (%s)", type(record.exc_info[1]).__name__
+        )
+        return False
+
+    chatter.addFilter(tell)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"\[viser\]|Queued a \w+ on a closed connection")
+        try:
+            yield
+        finally:
+            chatter.removeFilter(tell)
+
+
+def limit_messages(server: ViserServer, client: ClientHandle) -> None:
+    """A longer message ends its connection: sixteen of them wait for each, and viser takes 50 MB."""
+    connection = server._websock_server._live_connections.get(client.client_id)
+    if connection is not None:
+        connection.protocol.max_message_size = LONGEST
+
+
+def is_ray(origin: object, direction: object) -> bool:
+    """Whether a click says from where and where to, in numbers that mean something."""
+    if not (isinstance(origin, tuple) and isinstance(direction, tuple) and len(origin) == len(direction) == 3):
+        return False
+    numbers = (*origin, *direction)
+    if not all(isinstance(x, int | float) and math.isfinite(x) and abs(x) <= FARTHEST for x in numbers):
+        return False
+    return math.hypot(*direction) > 1e-6
+
+
+def number(value: object, low: float, high: float, usual: float) -> float:
+    """What a browser says a slider is at: within its ends, and `usual` for what is no number."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return usual
+    return min(max(float(value), low), high)
 
 
 def limit_uploads(client: ClientHandle, limit: int, refused: Callable[[str, int], None]) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from deepfracture.fracture import material as preset
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.learn import embedded_model
 from deepfracture.progress import log
-from deepfracture.types import BadInput, Breaker, FracturePattern, Grid, Impact, Material, Shape
+from deepfracture.types import BadInput, Breaker, FracturePattern, Fragments, Grid, Impact, Material, Shape
 
 T = TypeVar("T")
 GRID = Grid(64)
@@ -79,6 +80,7 @@ class Library:
         self._sources: OrderedDict[tuple, PatternSource] = OrderedDict()
         self._bodies: OrderedDict[tuple, FractureBody] = OrderedDict()
         self._done: set[Hashable] = set()
+        self._turns = Turns(os.cpu_count() or 1)
         first = self._load(shape or "pot", model, up)
         self.first = first.label
         """What the page begins with."""
@@ -105,8 +107,10 @@ class Library:
         made_of = preset(material)
         if name == "physical":
             body = self._body(entry, made_of)
-            return PatternBreaker(Physical(made_of, GRID, {id(entry.shape): body}), made_of)
-        return PatternBreaker(self._source(entry, name, made_of), made_of)
+            source: PatternSource = Physical(made_of, GRID, {id(entry.shape): body})
+        else:
+            source = self._source(entry, name, made_of)
+        return Queued(PatternBreaker(source, made_of), self._turns)
 
     def once(self, key: Hashable, job: Callable[[], object]) -> None:
         """Do a job unless one with that key has been done: others wait for it."""
@@ -152,6 +156,43 @@ class _InTurn:
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with self.lock:
             return self.source(shape, impact, rng)
+
+
+class Turns:
+    """Lets in as many threads at once as there are places, in the order in which they came."""
+
+    def __init__(self, places: int) -> None:
+        self._lock = threading.Lock()
+        self._free = places
+        self._waiting: deque[threading.Event] = deque()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._free:
+                self._free -= 1
+                return
+            called = threading.Event()
+            self._waiting.append(called)
+        called.wait()
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            if self._waiting:
+                self._waiting.popleft().set()  # who waits longest takes the place, before anybody new can
+            else:
+                self._free += 1
+
+
+@dataclass(frozen=True)
+class Queued:
+    """A breaker that waits for its turn: all breaks at once would take as long, but each of them that long."""
+
+    breaker: Breaker
+    turns: Turns
+
+    def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
+        with self.turns:
+            return self.breaker(shape, impact, rng)
 
 
 def read_upload(content: bytes, name: str, folder: Path, *, limit: int) -> Entry:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepfracture.export.motion import KEY_TOL
 from deepfracture.export.surface import COLOURS, OUTER_CREASE, surfaces
-from deepfracture.types import Floats, Floats32, Ints, Mesh, Shape
+from deepfracture.types import Floats32, Ints, Mesh, Shape
 from deepfracture.viewer import add_surface
 from deepfracture.world import Pose
 
@@ -24,7 +24,10 @@ class Stand:
     def __init__(self, scene: SceneApi) -> None:
         self._scene = scene
         self._nodes: dict[int, SceneNodeHandle] = {}
-        self._places: dict[int, tuple[Floats, Floats]] = {}
+        self._rows: dict[int, int] = {}
+        self._places = np.zeros((64, 7))
+        """Position and rotation of each body as the browser has them, in the rows of `_rows`."""
+        self._shown: set[int] = set()
         self._world = 0
 
     def __len__(self) -> int:
@@ -38,15 +41,14 @@ class Stand:
         for pose in poses:
             if pose.number not in self._nodes:
                 self._nodes[pose.number] = self._add(pose)
-                self._places[pose.number] = pose.position, pose.quat_wxyz
+                self._place(pose)
                 sent += 1
-                continue
-            sent += self._move(pose)
+        sent += self._move(poses)
         there = {pose.number for pose in poses}
-        for number, node in self._nodes.items():
-            if node.visible != (number in there):
-                node.visible = number in there
-                sent += 1
+        for number in there ^ self._shown:
+            self._nodes[number].visible = number in there
+            sent += 1
+        self._shown = there
         return sent
 
     def clear(self) -> None:
@@ -54,22 +56,39 @@ class Stand:
         for node in self._nodes.values():
             node.remove()
         self._nodes.clear()
-        self._places.clear()
+        self._rows.clear()
+        self._shown.clear()
         self._world += 1  # names are never used twice, so no late message finds another body
 
-    def _move(self, pose: Pose) -> int:
-        node = self._nodes[pose.number]
-        position, quat = self._places[pose.number]
-        sent = 0
-        if np.abs(position - pose.position).max() > KEY_TOL:
-            node.position = pose.position
-            sent += 1
-        if np.abs(quat - pose.quat_wxyz).max() > KEY_TOL:
-            node.wxyz = pose.quat_wxyz
-            sent += 1
-        if sent:
-            self._places[pose.number] = pose.position, pose.quat_wxyz
-        return sent
+    def _place(self, pose: Pose) -> None:
+        """A row for a new body, which is sent where it is, and seen."""
+        row = self._rows[pose.number] = len(self._rows)
+        if row == len(self._places):
+            self._places = np.concatenate([self._places, np.zeros_like(self._places)])
+        self._places[row] = *pose.position, *pose.quat_wxyz
+        self._shown.add(pose.number)
+
+    def _move(self, poses: Sequence[Pose]) -> int:
+        """Send what has changed.
+
+        Not by the handles' own setters: each compares by `np.allclose` and takes 0.2 ms, 40 for 100 bodies."""
+        from viser import _messages
+
+        if not poses:
+            return 0
+        rows = [self._rows[pose.number] for pose in poses]
+        now = np.concatenate([[p.position for p in poses], [p.quat_wxyz for p in poses]], axis=1)
+        changed = np.abs(now - self._places[rows]) > KEY_TOL
+        sent = np.stack([changed[:, :3].any(axis=1), changed[:, 3:].any(axis=1)], axis=1)
+        queue = self._scene._queue_scene_message
+        for k in np.flatnonzero(sent.any(axis=1)).tolist():
+            name, (x, y, z, *quat) = self._nodes[poses[k].number].name, now[k].tolist()
+            if sent[k, 0]:
+                queue(_messages.SetPositionMessage(name, (x, y, z)))
+            if sent[k, 1]:
+                queue(_messages.SetOrientationMessage(name, (quat[0], quat[1], quat[2], quat[3])))
+        self._places[rows] = np.where(np.repeat(sent, (3, 4), axis=1), now, self._places[rows])
+        return int(sent.sum())
 
     def _add(self, pose: Pose) -> SceneNodeHandle:
         name = f"/world{self._world}/{pose.number}_{pose.kind}"

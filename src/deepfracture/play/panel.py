@@ -13,13 +13,13 @@ from deepfracture.types import BadInput
 from deepfracture.world import GRAVITY, UPRIGHT, Pose
 from deepfracture.world.engine import rotation
 
-from .guard import limit_uploads
+from .guard import limit_uploads, number
 from .library import KINDS, Entry, Library, too_large
 from .session import Readout, Setup, Shot
 from .telling import Timing, breaker_html, readout_html, status_html
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiButtonGroupHandle, GuiEvent, GuiUploadButtonHandle
+    from viser import ClientHandle, GuiButtonGroupHandle, GuiEvent, GuiSliderHandle, GuiUploadButtonHandle
     from viser._messages import HotkeyKey
 
     from .player import Player
@@ -97,7 +97,7 @@ class Panel:
                 {PAUSE: self._pause_or_go_on, GO_ON: self._pause_or_go_on, REPLAY: player.replay, RESET: player.reset}
             )
             self._clock.options = (PAUSE, REPLAY, RESET)
-        self._listen(self._moment, "moment", lambda: player.go_to(float(self._moment.value)))
+        self._listen(self._moment, "moment", lambda: player.go_to(_at(self._moment, 0.0)))
 
     def _world(self) -> None:
         gui = self._client.gui
@@ -147,24 +147,28 @@ class Panel:
     @property
     def shape(self) -> str:
         """Label of the shape."""
-        return self._shape.value
+        return str(self._shape.value)
 
     @property
     def shot(self) -> Shot:
         """The ball."""
-        return Shot(float(self._radius.value), float(self._speed.value))
+        return Shot(_at(self._radius, 0.2), _at(self._speed, 14.0))
 
     @property
     def pace(self) -> float:
         """World's time over real time."""
-        return PACES[self._pace.value]
+        return PACES.get(str(self._pace.value), 1.0)
 
     def setup(self, entry: Entry) -> Setup:
         """The world that is asked for; BadInput for what it cannot be."""
         if self._breaker.value not in entry.breakers:
             raise BadInput(f"breaker {self._breaker.value!r} cannot break {entry.label}")
         return Setup(
-            self._breaker.value, self._material.value, self._up.value, float(self._gravity.value), int(self._seed.value)
+            str(self._breaker.value),
+            str(self._material.value),
+            str(self._up.value),
+            _at(self._gravity, GRAVITY),
+            int(number(self._seed.value, 0, 2**31 - 1, 0)),
         )
 
     # What the page says.
@@ -233,3 +237,7 @@ class Panel:
             view.fov = float(np.radians(camera.field))
             view.position = tuple(camera.position)
             view.look_at = tuple(camera.target)
+
+
+def _at(slider: GuiSliderHandle, usual: float) -> float:
+    return number(slider.value, slider.min, slider.max, usual)

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deepfracture.files import advice
 from deepfracture.progress import log
-from deepfracture.types import BadInput
+from deepfracture.types import BadInput, NoSolution
 
+from .guard import is_ray
 from .library import Entry, Library, read_upload
 from .look import Stand
 from .panel import Panel
@@ -37,6 +39,10 @@ LONGEST_TICK = 0.1
 SETTLING = 45
 """Frames that a shape has to come to rest on the floor, a millimetre below, before it is shown; one that topples is
 seen to topple."""
+PICTURE = 4096
+"""Messages that may go out together: a picture of 500 bodies is one, not several one after another."""
+FAREWELL = 3.0
+"""Longest that a tab which closes is waited for [s]."""
 PANEL_PERIOD = 0.2
 """Between two updates of the slider [s]."""
 
@@ -65,10 +71,11 @@ class Player:
         self._saving = False
         self._uploads = 0
         self._cursor, self._playing, self._present = 0.0, True, True
-        self._last = self._told = 0.0
+        self._last = self._told = self._due = 0.0
         self.timing = Timing()
         self._entry = library.entry(library.first)
         self._stand = Stand(client.scene)
+        client._websock_connection.get_message_buffer().max_window_size = PICTURE
         self._panel = Panel(client, self, library, self._entry, upload_limit=upload_limit)
         self._session: Session | None = None
         self._thread = threading.Thread(target=self._run, name=f"player {client.client_id}", daemon=True)
@@ -77,7 +84,9 @@ class Player:
     # What the browser wishes, from any thread.
 
     def click(self, origin: tuple[float, float, float], direction: tuple[float, float, float]) -> None:
-        """Shoot along a ray."""
+        """Shoot along a ray; what is none comes from no page of ours."""
+        if not is_ray(origin, direction):
+            return
         with self._wake:
             if len(self._clicks) < MOST_CLICKS:
                 self._clicks.append(Click(origin, direction, time.perf_counter()))
@@ -90,11 +99,12 @@ class Player:
             self._wake.notify()
 
     def stop(self) -> None:
-        """The tab is gone. Returns when the thread has ended."""
+        """The tab is gone. Returns when the thread has ended, or soon: a break that is being computed goes on until it
+        is done, and nobody sees it."""
         with self._wake:
             self._stopped = True
             self._wake.notify()
-        self._thread.join()
+        self._thread.join(FAREWELL)
 
     # Wishes, in the world's thread.
 
@@ -150,6 +160,8 @@ class Player:
                 self._client.send_file_download(name, content, save_immediately=True)
             except (BadInput, RuntimeError) as problem:
                 self._panel.complain(str(problem))
+            except OSError as problem:  # a full disk: the page stays, and says so
+                self._panel.complain(advice(problem) or str(problem))
             finally:
                 self._saving = False
                 done()
@@ -188,6 +200,9 @@ class Player:
             job()
         except BadInput as problem:
             self._panel.complain(str(problem))
+        except NoSolution as problem:  # of this shape as it was hit: its world cannot go on
+            self._panel.complain(f"{problem}. Reset to go on.")
+            self._playing = False
         except Exception as fault:  # one world's fault must not leave its tab without an answer
             if self._stopped:
                 return
@@ -199,7 +214,7 @@ class Player:
         """Until there is something to do. False when the tab is gone."""
         with self._wake:
             while not (self._stopped or self._wishes or self._clicks):
-                left = self._period - (time.perf_counter() - self._last) if self._moves else None
+                left = self._due - time.perf_counter() if self._moves else None
                 if left is not None and left <= 0:
                     break
                 self._wake.wait(left)
@@ -270,10 +285,11 @@ class Player:
         """Time goes on: step the world as far as it must be, and show it."""
         session, now = self._world, time.perf_counter()
         passed, self._last = min(now - self._last, LONGEST_TICK), now
+        self._due = max(self._due + self._period, now)  # a late picture does not delay those after it
         if self._playing:
             self._cursor += passed * session.frame_rate * self._panel.pace
         if self._present:
-            while session.frames - 1 < self._cursor and not session.at_rest:
+            while session.frames - 1 < self._cursor and not session.at_rest and not self._stopped:
                 broken = self.timing.broke
                 self._step()
                 if self.timing.broke is not broken:

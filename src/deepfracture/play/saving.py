@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-import tempfile
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 from deepfracture.export import write_film, write_glb
 from deepfracture.export.usd import write_usd
+from deepfracture.files import scratch
 from deepfracture.types import BadInput, Recording
 from deepfracture.world import Scene, save_scene
 
@@ -34,8 +34,8 @@ def make(kind: str, recording: Recording, scene: Scene, entry: Entry) -> tuple[s
         "film": lambda path: write_film(recording, path),
         "scene": lambda path: save_scene(scene, path),
     }
-    with tempfile.TemporaryDirectory(prefix="deepfracture-save-") as folder:
-        path = Path(folder) / name
+    with scratch() as folder:
+        path = folder / name
         writers[kind](path)
         return name, path.read_bytes()
 
@@ -48,8 +48,8 @@ def _with_mesh(scene: Scene, mesh: Path, model: Path | None) -> bytes:
     if model is not None:
         command += " --model model.safetensors"
     held = io.BytesIO()
-    with tempfile.TemporaryDirectory(prefix="deepfracture-save-") as folder:
-        file = Path(folder) / "scene.toml"
+    with scratch() as folder:
+        file = folder / "scene.toml"
         save_scene(replace(scene, shapes=placed), file)
         with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as packed:
             packed.write(file, file.name)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import shutil
 import signal
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -14,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepfracture.extras import need
+from deepfracture.files import scratch
 from deepfracture.progress import log
 from deepfracture.types import BadInput
 from deepfracture.viewer import add_floor
 from deepfracture.world import UPRIGHT
 
-from .guard import forbid_sharing, is_loopback, stranger, turn_away
+from .guard import calm, forbid_sharing, is_loopback, limit_messages, stranger, turn_away
 from .library import Library
 from .player import Player
 
@@ -53,6 +52,8 @@ class Options:
             raise BadInput(f"--port must be from 0 to 65535, got {self.port}")
         if self.up is not None and self.up not in UPRIGHT:
             raise BadInput(f"--up must be x, y or z, got {self.up!r}")
+        if self.most_tabs < 1:
+            raise BadInput(f"--most-tabs must be at least 1, got {self.most_tabs}")
         if self.upload_limit <= 0:
             raise BadInput(f"--upload-limit must be positive, got {self.upload_limit / 1e6:g}")
 
@@ -77,21 +78,21 @@ def page(options: Options) -> Iterator[str]:
     library = Library(options.shape, model=options.model, up=options.up)
     if options.model is not None:
         library.breaker(library.entry(library.first), "learned", "plaster")  # complains of what does not fit
-    folder = Path(tempfile.mkdtemp(prefix="deepfracture-play-"))
     players: dict[int, Player] = {}
     with redirect_stdout(io.StringIO()):  # viser prints an address of its own
         server = viser.ViserServer(host=options.host, port=options.port, label="deepfracture", verbose=False)
-    try:
-        forbid_sharing(server)
-        _furnish(server)
-        _let_in(server, library, folder, players, options)
-        yield f"http://{'localhost' if options.host == '0.0.0.0' else options.host}:{server.get_port()}"
-    finally:
-        for player in list(players.values()):
-            player.stop()
-        with redirect_stdout(io.StringIO()):
-            server.stop()
-        shutil.rmtree(folder, ignore_errors=True)
+    with scratch() as folder:
+        try:
+            forbid_sharing(server)
+            _furnish(server)
+            _let_in(server, library, folder, players, options)
+            with calm():
+                yield f"http://{'localhost' if options.host == '0.0.0.0' else options.host}:{server.get_port()}"
+        finally:
+            for player in list(players.values()):
+                player.stop()
+            with redirect_stdout(io.StringIO()):
+                server.stop()
 
 
 def _furnish(server: ViserServer) -> None:
@@ -112,6 +113,7 @@ def _let_in(server: ViserServer, library: Library, folder: Path, players: dict[i
             log.warning("play: a connection was turned away: %s", why)
             turn_away(server, client)
             return
+        limit_messages(server, client)
         with lock:
             if len(players) >= options.most_tabs:
                 client.add_notification("Full", f"{options.most_tabs} tabs play already; close one and reload.")
