@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 TESTED := $(VENV)/installed-test
 
-.PHONY: addon demo film docs test lint warm clean
+.PHONY: addon bench demo film docs test lint warm clean
 
 demo: $(INSTALLED)
 	$(BIN)/deepfracture shatter pot --out shattered
@@ -13,6 +13,10 @@ demo: $(INSTALLED)
 # Twenty seconds in six shots: runs/film/film.mp4.
 film: $(INSTALLED)
 	$(BIN)/python examples/film.py
+
+# What each stage costs here, and against the last time: runs/bench.
+bench: $(INSTALLED)
+	$(BIN)/deepfracture bench all --record runs/bench
 
 # The documentation as pages that open from disk: site/index.html.
 docs: $(TESTED)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from deepfracture.bench import BENCHES, Row, bench, table
+from deepfracture.bench import BENCHES, Row, bench, comparison, keep, last, stamp, table
 from deepfracture.bench.rows import share
 from deepfracture.geometry import load_shape
 from deepfracture.learn import embedded_model
@@ -117,3 +118,47 @@ def test_the_command_writes_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyP
     command("fracture", shape="bar", resolution=32, json_file=tmp_path / "new" / "rows.json")
     assert json.loads((tmp_path / "new" / "rows.json").read_text()) == [asdict(row)]
     assert [file.name for file in (tmp_path / "new").iterdir()] == ["rows.json"]
+
+
+def test_kept_measurements_say_where_and_when_and_the_next_ones_compare(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    from deepfracture.cli.bench import bench as command
+
+    caplog.set_level("INFO", logger="deepfracture")
+    seconds = iter((2.0, 3.0, 1.0))
+    monkeypatch.setattr(
+        "deepfracture.bench.BENCHES",
+        {"fracture": lambda shape, resolution, model: [Row("hit", "bar", 32, next(seconds), 1.0)]},
+    )
+    days = iter(("2030-01-01T00:00:00+00:00", "2030-01-02T00:00:00+00:00", "2030-01-03T00:00:00+00:00"))
+    made = stamp()
+    monkeypatch.setattr("deepfracture.bench.stamp", lambda: made | {"date": next(days)})
+
+    def told() -> str:
+        caplog.clear()
+        command("fracture", shape="bar", resolution=32, json_file=None, record=tmp_path / "kept")
+        return caplog.text
+
+    assert "the first measurement on such a machine" in told()
+    slower, quicker = told(), told()
+    assert "    2.0000    3.0000    1.50 !" in slower and "2030-01-01" in slower
+    assert "    3.0000    1.0000    0.33 +" in quicker and "2030-01-02" in quicker  # with the last, not the first
+    held = [json.loads(file.read_text()) for file in sorted((tmp_path / "kept").iterdir())]
+    assert [one["rows"][0]["seconds"] for one in held] == [2.0, 3.0, 1.0]
+    assert set(held[0]["machine"]) == {
+        "date", "deepfracture", "processor", "cores", "system", "python", "libraries", "load",
+    }  # fmt: skip
+    assert held[0]["machine"]["cores"] == os.cpu_count() and held[0]["machine"]["libraries"]["numpy"]
+
+
+def test_measurements_of_another_machine_are_left_alone_and_other_files_complained_of(tmp_path: Path) -> None:
+    made = stamp()
+    keep([Row("hit", "bar", 32, 2.0, 1.0)], tmp_path, made | {"cores": 4096})
+    assert last(tmp_path, made) is None
+    keep([Row("hit", "bar", 32, 2.0, 1.0)], tmp_path, made | {"date": "2030-01-01T00:00:00+00:00"})
+    known = last(tmp_path, made)
+    assert known is not None and comparison([Row("cut", "bar", 32, 1.0, 1.0)], known).endswith("no stage in common")
+    (tmp_path / "bench-x.json").write_text("{}")
+    with pytest.raises(BadInput, match=r"bench-x\.json: not a measurement"):
+        last(tmp_path, made)

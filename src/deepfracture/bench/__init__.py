@@ -11,10 +11,11 @@ from deepfracture.words import meant
 from .carve import bench_carve
 from .fracture import bench_fracture
 from .learn import bench_learn
+from .record import comparison, keep, last, stamp
 from .rows import Row, table
 from .world import bench_world
 
-__all__ = ["BENCHES", "Row", "bench", "table"]
+__all__ = ["BENCHES", "Row", "bench", "comparison", "keep", "last", "stamp", "table"]
 
 BENCHES: dict[str, Callable[[Shape, int, Path | None], list[Row]]] = {
     "fracture": lambda shape, resolution, _: bench_fracture(shape, resolution),

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 
 from deepfracture.progress import log
 
 
-def bench(room: str, *, shape: str, resolution: int, model: Path | None = None, json_file: Path | None) -> None:
-    """Measure `room` on `shape`, log the table, and write the rows to `json_file` if there is one."""
+def bench(
+    room: str, *, shape: str, resolution: int, model: Path | None = None, json_file: Path | None,
+    record: Path | None = None,
+) -> None:  # fmt: skip
+    """Measure `room` on `shape`, log the table, and write the rows to `json_file` if there is one; `record` keeps them
+    in a folder with the machine and the date, and says how they compare with the last ones there."""
     from deepfracture.bench import bench as run
-    from deepfracture.bench import table
+    from deepfracture.bench import comparison, keep, last, stamp, table
+    from deepfracture.export.files import replacing
     from deepfracture.geometry import load_shape
 
+    made = stamp()
+    before = None if record is None else last(record, made)  # complains before the minutes that follow
     level = log.level
     log.setLevel("WARNING")  # each stage would say how long it took
     try:
@@ -24,7 +30,8 @@ def bench(room: str, *, shape: str, resolution: int, model: Path | None = None, 
         log.setLevel(level)
     log.info("%s", table(rows))
     if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = json_file.with_name(f".{json_file.name}.{os.getpid()}.tmp")
-        temporary.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
-        os.replace(temporary, json_file)
+        with replacing(json_file) as temporary:
+            temporary.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+    if record is not None:
+        log.info("\n%s", comparison(rows, before) if before else "the first measurement on such a machine")
+        log.info("%s: %s, %s cores, load %s", keep(rows, record, made), made["processor"], made["cores"], made["load"])
