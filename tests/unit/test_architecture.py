@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parents[2] / "src" / "deepfracture"
-SHARED = {"types", "progress", "extras", "words", "threads"}
+SHARED = {"types", "progress", "extras", "words", "threads", "files", "lock"}
 ARROWS = {
     "geometry": set(),
     "fracture": {"geometry"},
@@ -23,6 +23,7 @@ ARROWS = {
     "validation": {"geometry", "fracture", "world"},
     "viewer": {"world", "export"},
     "play": {"geometry", "fracture", "learn", "breakers", "world", "export", "viewer"},
+    "soak": {"geometry", "fracture", "learn", "breakers", "world", "validation"},
     "bench": {"geometry", "fracture", "carve", "world", "export", "dataset", "learn", "breakers", "viewer"},
 }
 HEAVY = {
@@ -35,6 +36,8 @@ HEAVY = {
     "pyvista": set(),  # no VTK: it is large, and needs a graphics driver
     "vtkmodules": set(),
     "zarr": {"dataset"},
+    "obstore": {"dataset"},
+    "ray": {"dataset"},
 }
 
 

@@ -18,13 +18,24 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "deepfracture play statue.obj --model runs/statue/model.safetensors --up y",
     ),
     "simulate": ("deepfracture simulate statue.obj --collisions 240 --speed 8 30 --out data/statue",),
+    "convert": (
+        "deepfracture convert data/statue s3://bucket/statue",
+        "deepfracture convert data/old data/new",
+    ),
     "train": ("deepfracture train data/statue --out runs/statue --minutes 10",),
     "evaluate": (
         "deepfracture simulate pot --collisions 40 --repeats 4 --seed 7 --out data/held",
         "deepfracture evaluate data/held --dataset data/pot --model runs/pot/model.safetensors --out evaluated",
     ),
     "info": ("deepfracture info shattered/report.json",),
-    "bench": ("deepfracture bench carve --shape bunny --resolution 64 --json bench.json",),
+    "bench": (
+        "deepfracture bench carve --shape bunny --resolution 64 --json bench.json",
+        "deepfracture bench all --record runs/bench",
+    ),
+    "soak": (
+        "deepfracture soak --hits 1000 --out soaked --workers 2",
+        "deepfracture soak statue.obj --hits 100 --breakers voronoi physical --out soaked/statue",
+    ),
     "validate": ("deepfracture validate --quick --plots plots",),
     "warm": ("deepfracture warm",),
     "doctor": ("deepfracture doctor",),

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
+from deepfracture.files import advice
 from deepfracture.progress import log
 from deepfracture.types import BadInput, NoSolution
 from deepfracture.words import meant
@@ -51,6 +52,7 @@ def shatter(
     dataset: Path | None = None,
     resolution: int = 64,
     roughness: float = 0.0,
+    budget: int | None = None,
     engine: str = "rapier",
     seed: int | None = None,
     repair: bool = False,
@@ -70,6 +72,7 @@ def shatter(
         dataset: simulated patterns that --breaker nearest and random recall.
         resolution: voxels along each axis for physical and voronoi.
         roughness: grain of the crack faces [m], of a body two metres long.
+        budget: most triangles a fragment, taken from the cracks as far as their rims allow.
         engine: rapier or bullet.
         seed: the same seed gives the same bytes (default: the scene's, or 0).
         repair: mend a mesh that is not closed.
@@ -81,7 +84,7 @@ def shatter(
 
     run(
         shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, model=model, dataset=dataset,
-        resolution=resolution, roughness=roughness, engine=engine, seed=seed, repair=repair, film=film,
+        resolution=resolution, roughness=roughness, budget=budget, engine=engine, seed=seed, repair=repair, film=film,
         formats=formats,
     )  # fmt: skip
 
@@ -95,6 +98,7 @@ def play(
     host: str = "127.0.0.1",
     port: int = 8080,
     upload_limit: float = 64.0,
+    most_tabs: int = 8,
 ) -> None:
     """Shoot at things in the browser: a page on this machine.
 
@@ -105,10 +109,11 @@ def play(
         host: address that the page listens on; by default this machine alone can reach it.
         port: where it listens; the next free one if it is taken.
         upload_limit: largest mesh that can be dropped onto the page [MB].
+        most_tabs: tabs that play at once, each a world of its own.
     """
     from .play import play as run
 
-    run(shape, model=model, up=up, host=host, port=port, upload_limit=upload_limit)
+    run(shape, model=model, up=up, host=host, port=port, upload_limit=upload_limit, most_tabs=most_tabs)
 
 
 @app.command
@@ -124,7 +129,12 @@ def simulate(
     refracture: int = 0,
     frames: int = 60,
     repeats: int = 1,
-    workers: int = 2,
+    workers: int | None = None,
+    executor: str = "local",
+    address: str | None = None,
+    limit: float = 600.0,
+    memory: float | None = None,
+    retry: bool = False,
     seed: int = 0,
     repair: bool = False,
 ) -> None:
@@ -132,7 +142,7 @@ def simulate(
 
     Args:
         shape: a mesh file, or a built-in shape.
-        out: folder of the data set (default: data/SHAPE).
+        out: folder of the data set, or s3://BUCKET/PREFIX (default: data/SHAPE).
         collisions: balls to throw; those that break nothing are counted and left out.
         material: a whole-material preset.
         resolution: voxels along each axis.
@@ -142,7 +152,12 @@ def simulate(
         refracture: generations of fragments that may break again when they meet each other or the ball ...
         frames: ... within this many frames after the hit, at 60 a second.
         repeats: times that each collision is simulated, with other weak places in the material (for evaluate).
-        workers: processes.
+        workers: collisions at once (default: two, or all processors of a cluster).
+        executor: local, or ray: the machines of a cluster.
+        address: of the Ray cluster (default: the one that this machine belongs to).
+        limit: seconds after which a collision is given up and counts as failed.
+        memory: gigabytes beyond which a worker is ended and its collision counts as failed.
+        retry: first drop what failed or is damaged, and simulate it again.
         seed: the same seed gives the same bytes, however many workers.
         repair: mend a mesh that is not closed.
     """
@@ -150,8 +165,26 @@ def simulate(
 
     run(
         shape, out=out, collisions=collisions, material=material, resolution=resolution, speed=speed,
-        scene=scene, refracture=refracture, frames=frames, repeats=repeats, workers=workers, seed=seed, repair=repair,
+        scene=scene, refracture=refracture, frames=frames, repeats=repeats, workers=workers, executor=executor,
+        address=address, limit=limit, memory=memory, retry=retry, seed=seed, repair=repair,
     )  # fmt: skip
+
+
+@app.command
+def convert(
+    old: Annotated[Positional[Path], tyro.conf.arg(metavar="OLD")],
+    new: Annotated[Positional[Path], tyro.conf.arg(metavar="NEW")],
+    /,
+) -> None:
+    """Copy a data set of this or a former format to another folder or bucket, checking it. Run again to go on.
+
+    Args:
+        old: folder or s3://BUCKET/PREFIX of the data set.
+        new: folder or s3://BUCKET/PREFIX that it is to lie in.
+    """
+    from .learning import convert as run
+
+    run(old, new)
 
 
 @app.command
@@ -170,7 +203,7 @@ def train(
     """Train the generative model on simulated collisions. Run again to go on.
 
     Args:
-        dataset: folder made by `deepfracture simulate`.
+        dataset: folder or s3://BUCKET/PREFIX made by `deepfracture simulate`.
         out: run folder; the finished weights are model.safetensors in it.
         preset: waves (ours), or a network that predicts the distance field itself: paper, mlp or pix2pix.
         width: channels of those networks, relative to their publications'.
@@ -237,6 +270,7 @@ def bench(
     resolution: int = 128,
     model: Path | None = None,
     json: Path | None = None,
+    record: Path | None = None,
 ) -> None:
     """Measure what each stage takes on this machine: seconds in the median of warm runs, and memory.
 
@@ -246,10 +280,52 @@ def bench(
         resolution: voxels along each axis.
         model: a trained model for predictions, in place of the shipped one of the shape.
         json: also write the rows to this file.
+        record: folder that keeps them with the machine and the date, and compares with the last ones there.
     """
     from .bench import bench as run
 
-    run(room, shape=shape, resolution=resolution, model=model, json_file=json)
+    run(room, shape=shape, resolution=resolution, model=model, json_file=json, record=record)
+
+
+@app.command
+def soak(
+    shapes: Annotated[Positional[tuple[str, ...]], tyro.conf.arg(metavar="[SHAPE ...]")] = (),
+    /,
+    hits: int = 200,
+    breakers: tuple[str, ...] = (),
+    seed: int = 0,
+    out: Path | None = None,
+    workers: int = 1,
+    limit: float = 120.0,
+    resolution: int | None = None,
+    engine: str = "rapier",
+    model: Path | None = None,
+    data: Path | None = None,
+    repair: bool = False,
+) -> None:
+    """Hit shapes at random, thousands of times, and check every fragment and pose. Exit status 0 only if all is well.
+
+    Args:
+        shapes: mesh files or built-in shapes (default: every built-in one).
+        hits: how many, over all shapes and breakers.
+        breakers: any of learned, physical, voronoi, nearest, cvd and random (default: those that are ready).
+        seed: of the first hit; each next one has the next number, so any of them can be repeated alone.
+        out: folder for hits.jsonl and summary.md; run again to go on. Default: nothing is kept.
+        workers: processes.
+        limit: longest time for one hit [s].
+        resolution: voxels along each axis (default: 64, and 32 for physical).
+        engine: rapier or bullet.
+        model: trained weights of a shape of yours, for learned.
+        data: folder that holds a data set for each shape, by its name, for nearest and random.
+        repair: mend meshes that are not closed.
+    """
+    from .soak import soak as run
+
+    if not run(
+        shapes, hits=hits, breakers=breakers, seed=seed, out=out, workers=workers, limit=limit,
+        resolution=resolution, engine=engine, model=model, data=data, repair=repair,
+    ):  # fmt: skip
+        sys.exit(1)
 
 
 @app.command
@@ -330,6 +406,12 @@ def main(args: Sequence[str] | None = None) -> None:
             log.debug("where it happened", exc_info=problem)
         sys.stderr.write(f"{NAME}: {problem}\n")
         sys.exit(2 if isinstance(problem, BadInput) else 1)
+    except OSError as problem:
+        line = advice(problem)
+        if line is None:
+            raise
+        sys.stderr.write(f"{NAME}: {line}\n")
+        sys.exit(1)
     except KeyboardInterrupt:
         sys.stderr.write(f"{NAME}: interrupted; run the same command again to go on\n")
         sys.exit(130)
