@@ -125,7 +125,8 @@ def sweep(folder: Path) -> None:
         if handle is None:
             continue
         try:
-            for former in (left / FORMER).glob("*"):
+            linked = (left / FORMER).is_symlink()  # then it is no work of ours
+            for former in () if linked else (left / FORMER).glob("*"):
                 if not (folder / former.name).exists():
                     os.replace(former, folder / former.name)
             for name in (NEW, FORMER):

@@ -26,7 +26,7 @@ from PIL import Image
 
 from deepfracture.cli.info import info
 from deepfracture.export import write_fragments, write_glb, write_sequence, write_usd
-from deepfracture.files import filling, replacing_folder
+from deepfracture.files import FORMER, LOCK, NEW, PREFIX, filling, replacing_folder, sweep
 from deepfracture.fracture.cache import _load_array
 from deepfracture.fracture.elastostatics import ElasticBody
 from deepfracture.geometry import load_shape
@@ -328,3 +328,18 @@ def test_a_link_to_a_device_without_an_end_is_refused(name: str, tmp_path: Path)
     (tmp_path / name).symlink_to("/dev/zero")
     with pytest.raises(BadInput):
         readers()[name](tmp_path / name)
+
+
+def test_sweeping_follows_no_link_out_of_the_folder(tmp_path: Path) -> None:
+    """A folder from a stranger may hold what looks like a leftover of ours."""
+    elsewhere, given = tmp_path / "elsewhere", tmp_path / "given"
+    left = given / f"{PREFIX}abcdefgh"
+    elsewhere.mkdir()
+    left.mkdir(parents=True)
+    (elsewhere / "letter.txt").write_text("mine")
+    (left / LOCK).touch()
+    for name in (NEW, FORMER):
+        (left / name).symlink_to(elsewhere)
+    sweep(given)
+    assert (elsewhere / "letter.txt").read_text() == "mine"
+    assert not (given / "letter.txt").exists()
