@@ -76,10 +76,8 @@ def prepare_body(
 
     Unless `keep`, nothing of it is kept on disk. Raises BadInput if the shape is too thin for the stresses' lattice, or
     for boundary elements."""
-    elastic = elastic_body(shape.mesh, material.poisson, elements, keep=keep)
     fine = Lattice.fine(grid)
     coarse = fine.coarsened(STRESS_CELLS)
-    sdf = distances(shape.mesh, fine, outside=SHELL * fine.spacing, keep=keep)
     rough = distances(shape.mesh, coarse, outside=np.inf, keep=keep)
     known = rough > SKIN * coarse.spacing
     if not known.any():
@@ -87,6 +85,8 @@ def prepare_body(
             f"{shape.name}: thinner than a cell of {coarse.spacing:.3g} m everywhere (it is two metres long), so "
             "that no stress can be computed in it; make it thicker, or use another breaker"
         )
+    elastic = elastic_body(shape.mesh, material.poisson, elements, keep=keep)
+    sdf = distances(shape.mesh, fine, outside=SHELL * fine.spacing, keep=keep)
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
     return FractureBody(

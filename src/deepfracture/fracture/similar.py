@@ -84,5 +84,5 @@ class Pieces:
             with stage("prepare fragment"):
                 return prepare_piece(shape, self.material, self.grid)
         except BadInput as problem:
-            log.info("%s does not break again: %s", shape.name, problem)
+            log.info("%s does not break again: %s", shape.name, str(problem))  # the error itself holds the shape
             return None
