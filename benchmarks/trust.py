@@ -25,11 +25,11 @@ from degenerate import DEGENERATE
 
 from deepfracture.carve import cut
 from deepfracture.carve.cut import DUST_VOXELS
-from deepfracture.dataset.guard import THREAD_VARIABLES
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import BUILTIN, faults, load_shape, signed_distance
 from deepfracture.geometry.topology import split_pinches
 from deepfracture.progress import log, track
+from deepfracture.threads import ONE_THREAD
 from deepfracture.types import BadInput, FracturePattern, Fragments, Grid, Shape
 
 ON_SURFACE = 1e-6
@@ -69,7 +69,7 @@ def trust(
         raise BadInput(f"shapes: no case is called {min(unknown)!r}; choose from {', '.join(sources)}")
     names = list(shapes or sources)
     folder = out / f"{preset}-r{resolution}-{speed[0]:g}-{speed[1]:g}-s{seed}"
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))  # read by the processes that start from here
+    os.environ.update(ONE_THREAD)  # read by the processes that start from here
     with ThreadPoolExecutor(workers) as pool:
         jobs = [pool.submit(_apart, name, folder, hits, resolution, preset, speed, seed, data) for name in names]
         for job in track(as_completed(jobs), name="shapes", total=len(jobs)):

@@ -10,8 +10,8 @@ import socket
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -25,9 +25,9 @@ from deepfracture.dataset.record import LARGEST, Record, record_key
 from deepfracture.dataset.storage import Storage, storage_at
 from deepfracture.dataset.store import MANIFEST, Settings, put, read_manifest, write_failed, write_unbroken
 from deepfracture.progress import hush, log
+from deepfracture.threads import one_thread_each
 from deepfracture.types import BadInput, FracturePattern, Impact, NoSolution
 
-THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 ATTEMPTS = 2
 """Times that an entry is tried whose worker dies: it may have been somebody else's doing."""
 GLANCE = 0.2
@@ -111,7 +111,7 @@ class Guarded:
     def _start(self) -> None:
         context = get_context("spawn")
         self._line, theirs = context.Pipe()
-        with _one_thread_each():
+        with one_thread_each():
             self._process = context.Process(target=_work, args=(theirs, self.job), daemon=True)
             self._process.start()
         theirs.close()
@@ -162,25 +162,6 @@ def resident(process: int) -> float:
         return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9
     except (FileNotFoundError, ProcessLookupError):
         return 0.0
-
-
-_starting = threading.Lock()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Children read these variables when they start; one thread each is quickest and always sums alike."""
-    with _starting:
-        before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-        try:
-            yield
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    del os.environ[name]
-                else:
-                    os.environ[name] = value
 
 
 def _work(line: Connection, job: Job) -> None:

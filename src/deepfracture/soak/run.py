@@ -9,8 +9,8 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepfracture.progress import hush, log, track
+from deepfracture.threads import one_thread_each
 from deepfracture.types import BadInput
 
 from .hit import Shop, check, hit, play, prepare
@@ -27,10 +28,6 @@ from .results import Results, Row
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
 
-ONE_THREAD: Mapping[str, str] = dict.fromkeys(
-    ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
-"""One thread each is quickest, and always sums alike."""
 PREPARING = 600.0
 """Time that a shape and a breaker may take to get ready, and a check to be done [s]: not the hit's fault."""
 STACK_LINES = 30
@@ -77,7 +74,7 @@ def _rows(settings: Settings, cases: list[Case], workers: int, limit: float) -> 
         waiting.put(one)
     found: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
     stopped = threading.Event()
-    with _environment(ONE_THREAD):
+    with one_thread_each():
         seats = [_Seat(settings, limit, waiting, found, stopped) for _ in range(workers)]
         try:
             for _ in cases:
@@ -89,21 +86,6 @@ def _rows(settings: Settings, cases: list[Case], workers: int, limit: float) -> 
             stopped.set()
             for seat in seats:
                 seat.close()
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Children read these variables when they start."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 class _Seat:
