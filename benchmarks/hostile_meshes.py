@@ -34,7 +34,7 @@ from deepfracture.validation.fragments import check_fragments
 
 MEMORY = 6 << 30
 """Bytes of address space that a case may take."""
-SECONDS = 120
+SECONDS = 60
 """Processor time [s] that a case may take: loading, breaking and checking, each twice."""
 PATIENCE = 15
 """Times as long that it may take by the clock, on a busy machine."""

@@ -230,7 +230,7 @@ def _check_cracks(meshes: Sequence[Mesh], inner: np.ndarray, voxel: float) -> Cr
     triangles = np.concatenate([mesh.triangles for mesh in meshes])[inner]
     points, corner = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     faces = corner.reshape(-1, 3).astype(np.int64)
-    partner = _partners(faces, owner, len(points))
+    partner = _partners(faces, owner, len(points), _altitudes(triangles) <= LOW)
     fits = partner >= 0
     # Each crack once, seen from the fragment with the lower number.
     seen = fits & (owner < owner[partner])
@@ -243,12 +243,12 @@ def _check_cracks(meshes: Sequence[Mesh], inner: np.ndarray, voxel: float) -> Cr
     )
 
 
-def _partners(faces: Ints, owner: Ints, count: int) -> Ints:
+def _partners(faces: Ints, owner: Ints, count: int, thin: np.ndarray) -> Ints:
     """For each face one that has its corners in opposite order, in another fragment, and belongs to no other face; -1
     where there is none.
 
-    Faces without width may have the same corners several times: then as many in the one fragment as mirrored in the
-    other, and in no third."""
+    Only faces without width, those that are `thin`, may have the same corners several times: then as many in the one
+    fragment as mirrored in the other, and in no third."""
     first = np.argmin(faces, axis=1)[:, None]
     a, b, c = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1).T
     # A face with two corners in one place looks the same from both sides.
@@ -261,7 +261,7 @@ def _partners(faces: Ints, owner: Ints, count: int) -> Ints:
     holder[own] = np.arange(len(faces))
     partner = np.where((times[own] == 1) & (times[mirrored] == 1) & ~flat, holder[mirrored], -1)
     partner[(partner >= 0) & (owner[partner] == owner)] = -1
-    many = (times[own] > 1) & (times[own] == np.where(flat, times[own], times[mirrored]))
+    many = (thin | flat) & (times[own] > 1) & (times[own] == np.where(flat, times[own], times[mirrored]))
     order = np.lexsort((owner, own))
     start = np.searchsorted(own[order], np.arange(key.max(initial=-1) + 2))
     for here, there in {(min(two), max(two)) for two in zip(own[many].tolist(), mirrored[many].tolist(), strict=True)}:
