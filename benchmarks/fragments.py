@@ -89,7 +89,7 @@ def simulated(source: Source, number: int, rng: np.random.Generator) -> Fracture
 def cells(source: Source, number: int, rng: np.random.Generator) -> FracturePattern:
     count = int(rng.integers(2, 40))
     sites = rng.choice(source.inside, count, replace=False) + rng.uniform(-0.5, 0.5, (count, 3))
-    return voronoi_pattern(source.grid.to_world(sites), source.surface, source.grid)
+    return voronoi_pattern(source.grid.to_world(sites), source.surface > 0, source.grid)
 
 
 def noisy(source: Source, number: int, rng: np.random.Generator) -> FracturePattern:

@@ -18,7 +18,7 @@ from starting import start
 import deepfracture as df
 from deepfracture.breakers import PatternBreaker
 from deepfracture.export import exploded
-from deepfracture.geometry import signed_distance
+from deepfracture.geometry import voxels_inside
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class SpiderWeb:
     """Radii [m]."""
 
     def __call__(self, shape: df.Shape, impact: df.Impact, rng: np.random.Generator) -> df.FracturePattern:
-        inside = signed_distance(shape.mesh, self.grid) > 0
+        inside = voxels_inside(shape.mesh, self.grid)
         along = impact.direction[0]
         across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
         across /= np.linalg.norm(across)

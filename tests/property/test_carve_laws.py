@@ -42,7 +42,7 @@ def test_segmentation_undoes_encoding(seed, count):
     """Same fragments, and all but the voxels beside the cracks in the right one."""
     grid = Grid(64)
     distance = box_distance(grid)
-    pattern = voronoi_pattern(spread_sites(seed, count, 0.5), distance, grid)
+    pattern = voronoi_pattern(spread_sites(seed, count, 0.5), distance > 0, grid)
     found = segment(encode(pattern, distance))
     inside = pattern.labels > 0
     pairs, times = np.unique(np.stack([pattern.labels[inside], found.labels[inside]]), axis=1, return_counts=True)

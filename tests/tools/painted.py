@@ -55,7 +55,7 @@ def broken(shape: Shape, pieces: int = 5, resolution: int = 32) -> Fragments:
     """Voronoi cells of a shape."""
     grid = Grid(resolution)
     sites = np.random.default_rng(3).uniform(-0.9, 0.9, (pieces, 3))
-    return cut(shape, voronoi_pattern(sites, signed_distance(shape.mesh, grid), grid), density=2000.0)
+    return cut(shape, voronoi_pattern(sites, signed_distance(shape.mesh, grid) > 0, grid), density=2000.0)
 
 
 def filmed(shape: Shape, fragments: Fragments) -> Recording:

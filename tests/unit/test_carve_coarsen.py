@@ -18,7 +18,7 @@ def fragments() -> Fragments:
     surface = signed_distance(SHAPE.mesh, GRID)
     inside = GRID.centres()[surface > 0]
     sites = np.random.default_rng(4).choice(inside, 9, replace=False)
-    return cut(SHAPE, voronoi_pattern(sites, surface, GRID), density=1000.0)
+    return cut(SHAPE, voronoi_pattern(sites, surface > 0, GRID), density=1000.0)
 
 
 def inner(fragments: Fragments) -> int:
@@ -63,7 +63,7 @@ def test_within_the_budget_nothing_changes_and_the_same_comes_out_twice(fragment
 
 def test_few_vertices_are_left_within_a_flat_crack() -> None:
     surface = signed_distance(SHAPE.mesh, GRID)
-    halves = cut(SHAPE, voronoi_pattern(np.array([[-0.5, 0, 0], [0.51, 0, 0]]), surface, GRID), density=1.0)
+    halves = cut(SHAPE, voronoi_pattern(np.array([[-0.5, 0, 0], [0.51, 0, 0]]), surface > 0, GRID), density=1.0)
 
     def within(fragments: Fragments) -> int:
         piece = fragments.pieces[0]

@@ -27,7 +27,7 @@ def slab(thickness: float) -> Shape:
 def cells(shape: Shape, sites: int, seed: int = 0, grid: Grid = GRID) -> FracturePattern:
     distance = signed_distance(shape.mesh, grid)
     inside = grid.to_world(np.argwhere(distance > 0))
-    return voronoi_pattern(np.random.default_rng(seed).permutation(inside)[:sites], distance, grid)
+    return voronoi_pattern(np.random.default_rng(seed).permutation(inside)[:sites], distance > 0, grid)
 
 
 def assert_closed(mesh: Mesh) -> None:
@@ -104,7 +104,7 @@ def test_planar_crack_is_flat_to_a_twentieth_of_a_voxel():
     shape = ball()
     normal = np.array([2.0, 1.0, 0.5]) / np.linalg.norm([2.0, 1.0, 0.5])
     distance = signed_distance(shape.mesh, GRID)
-    pieces = cut(shape, voronoi_pattern([-0.3 * normal, 0.3 * normal], distance, GRID), density=1).pieces
+    pieces = cut(shape, voronoi_pattern([-0.3 * normal, 0.3 * normal], distance > 0, GRID), density=1).pieces
     assert len(pieces) == 2
     for piece in pieces:
         off = piece.mesh.vertices[np.unique(piece.mesh.faces[piece.source < 0])] @ normal / GRID.spacing
@@ -130,7 +130,7 @@ def test_mass_centre_and_inertia_are_those_of_the_pieces():
     shape = slab(0.5)
     distance = signed_distance(shape.mesh, GRID)
     left, right = sorted(
-        cut(shape, voronoi_pattern([[-0.5, 0, 0], [0.5, 0, 0]], distance, GRID), density=2000),
+        cut(shape, voronoi_pattern([[-0.5, 0, 0], [0.5, 0, 0]], distance > 0, GRID), density=2000),
         key=lambda piece: piece.centre[0],
     )
     for piece, side in ((left, -1), (right, 1)):

@@ -72,7 +72,7 @@ def test_distance_without_cracks_is_far_and_bad_points_are_refused():
 
 
 def test_two_cells_have_the_exact_distance_to_their_wall():
-    pattern = voronoi_pattern([[-0.4, 0, 0], [0.2, 0.3, 0]], BALL, GRID)
+    pattern = voronoi_pattern([[-0.4, 0, 0], [0.2, 0.3, 0]], BALL > 0, GRID)
     normal = np.array([0.6, 0.3, 0]) / np.hypot(0.6, 0.3)
     wall = np.abs((GRID.centres() - [-0.1, 0.15, 0]) @ normal)
     inside = BALL > 0
@@ -82,7 +82,7 @@ def test_two_cells_have_the_exact_distance_to_their_wall():
 
 
 def test_encode_takes_the_nearest_boundary_inside_and_the_surface_outside():
-    pattern = voronoi_pattern([[-0.4, 0, 0], [0.4, 0, 0]], BALL, GRID)
+    pattern = voronoi_pattern([[-0.4, 0, 0], [0.4, 0, 0]], BALL > 0, GRID)
     values = encode(pattern, BALL).values
     exact = np.where(BALL > 0, np.minimum(BALL, np.abs(GRID.centres()[..., 0])), BALL)
     np.testing.assert_allclose(values, exact, atol=1e-6)
@@ -110,7 +110,7 @@ def test_segment_cracks_of_a_blurred_field():
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(3)
-    pattern = voronoi_pattern(0.55 * on_sphere(7) + 0.02 * rng.normal(size=(7, 3)), BALL, GRID)
+    pattern = voronoi_pattern(0.55 * on_sphere(7) + 0.02 * rng.normal(size=(7, 3)), BALL > 0, GRID)
     blurred = gaussian_filter(encode(pattern, BALL).values, 1.0)
     found = segment(Volume(GRID, blurred))
     assert found.count == 7
@@ -224,7 +224,7 @@ def test_the_published_flood_finds_the_regions_of_minima_and_watershed():
     from deepfracture.bench.reference import reference_labels
 
     rng = np.random.default_rng(5)
-    pattern = voronoi_pattern(rng.uniform(-0.5, 0.5, (14, 3)), BALL, GRID)
+    pattern = voronoi_pattern(rng.uniform(-0.5, 0.5, (14, 3)), BALL > 0, GRID)
     volume = Volume(GRID, gaussian_filter(encode(pattern, BALL).values, 0.7))
     ours, theirs = segment_as_published(volume).labels, reference_labels(volume)
     inside = (volume.values > 0) & (theirs > 0)

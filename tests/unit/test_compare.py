@@ -32,7 +32,7 @@ def slabs(cuts: tuple[float, ...], grid: Grid = GRID) -> FracturePattern:
 def cells(seed: int, count: int) -> FracturePattern:
     rng = np.random.default_rng(seed)
     ball = 0.8 - np.linalg.norm(SMALL.centres(), axis=-1)
-    return voronoi_pattern(rng.uniform(-0.7, 0.7, (count, 3)), ball, SMALL)
+    return voronoi_pattern(rng.uniform(-0.7, 0.7, (count, 3)), ball > 0, SMALL)
 
 
 def relabelled(pattern: FracturePattern, seed: int = 0) -> FracturePattern:

@@ -50,7 +50,7 @@ def simulated(impact: Impact, rng: np.random.Generator) -> FracturePattern:
     away = np.linalg.norm(INSIDE - impact.position[0], axis=1)
     weight = np.exp(-0.5 * (away / 0.5) ** 2)
     sites = INSIDE[rng.choice(len(INSIDE), count, replace=False, p=weight / weight.sum())]
-    return voronoi_pattern(sites + rng.normal(0, 1e-4, sites.shape), SURFACE, GRID)
+    return voronoi_pattern(sites + rng.normal(0, 1e-4, sites.shape), SURFACE > 0, GRID)
 
 
 def make_set(path: Path, *, collisions: int, repeats: int, seed: int, **changes: object) -> Dataset:
@@ -161,7 +161,7 @@ def test_counts_that_rise_with_the_impulse_are_seen(held: Dataset) -> None:
     def slabs(shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern:
         count = int(impact.magnitude[0] / 100)
         sites = np.stack([np.linspace(-0.9, 0.9, count), np.zeros(count), np.zeros(count)], axis=1)
-        return voronoi_pattern(sites[:, np.argsort(-np.ptp(INSIDE, axis=0)).argsort()], SURFACE, GRID)
+        return voronoi_pattern(sites[:, np.argsort(-np.ptp(INSIDE, axis=0)).argsort()], SURFACE > 0, GRID)
 
     summary = summarise(evaluate(held, {"slabs": slabs}, draws=1, seed=0))["slabs"]
     assert summary.rising.value > 0.9

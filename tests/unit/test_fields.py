@@ -58,7 +58,7 @@ def made(folder: Path, count: int, impulses: int = 1) -> Dataset:
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         position = rng.uniform(-0.5, 0.5, (impulses, 3))
         hit = Impact(position, direction, 10.0 + k - np.arange(impulses), -direction, 3.0, 0.2)
-        pattern = voronoi_pattern(rng.uniform(-1, 1, (3 + k, 3)) * (0.8, 0.6, 0.5), surface, GRID)
+        pattern = voronoi_pattern(rng.uniform(-1, 1, (3 + k, 3)) * (0.8, 0.6, 0.5), surface > 0, GRID)
         store.write_sample(folder, k, Sample(hit, pattern, k))
     return open_dataset(folder)
 
@@ -252,7 +252,7 @@ def test_resolutions_are_learned_together(tmp_path: Path) -> None:
     shape, grid = box(), Grid(64)
     surface = signed_distance(shape.mesh, grid)
     store.create(tmp_path / "data", store.Settings(shape, CLAY, 64, 0, (1.0, 9.0)))
-    pattern = voronoi_pattern(np.array([[-0.5, 0, 0], [0.5, 0, 0]]), surface, grid)
+    pattern = voronoi_pattern(np.array([[-0.5, 0, 0], [0.5, 0, 0]]), surface > 0, grid)
     push = np.array([[1.0, 0, 0]])
     hit = Impact(np.array([[-1.0, 0, 0]]), push, [10.0], -push, 3.0, 0.2)
     store.write_sample(tmp_path / "data", 0, Sample(hit, pattern, 0))

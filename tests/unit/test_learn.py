@@ -28,7 +28,7 @@ def body() -> Body:
 
 @pytest.fixture(scope="module")
 def pattern() -> FracturePattern:
-    return voronoi_pattern(np.random.default_rng(0).uniform(-0.6, 0.6, (7, 3)), ball_distance(), GRID)
+    return voronoi_pattern(np.random.default_rng(0).uniform(-0.6, 0.6, (7, 3)), ball_distance() > 0, GRID)
 
 
 def impact(*strengths: float) -> Impact:
@@ -134,7 +134,7 @@ def test_the_odds_of_a_target_are_the_distance_to_the_crack(pattern: FracturePat
 
 
 def test_fragments_that_touch_never_share_a_channel(body: Body) -> None:
-    many = voronoi_pattern(np.random.default_rng(3).uniform(-0.8, 0.8, (40, 3)), ball_distance(), GRID)
+    many = voronoi_pattern(np.random.default_rng(3).uniform(-0.8, 0.8, (40, 3)), ball_distance() > 0, GRID)
     target = target_of(many, body.voxels, anchors(body.points, 24))
     assert many.count > 24
     near = target.share < 1

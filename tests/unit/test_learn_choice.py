@@ -79,7 +79,7 @@ def test_distances_are_in_units_of_their_mean() -> None:
     ball = (0.9 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32)
     rng = np.random.default_rng(5)
     hit = Impact([[0.9, 0, 0]], [[-1.0, 0, 0]], [100.0], [[1.0, 0, 0]], speed=3.0, radius=0.2)
-    patterns = [voronoi_pattern(rng.uniform(-0.6, 0.6, (n, 3)), ball, grid) for n in (3, 5, 9, 9)]
+    patterns = [voronoi_pattern(rng.uniform(-0.6, 0.6, (n, 3)), ball > 0, grid) for n in (3, 5, 9, 9)]
     apart = mean_distance([traits_of(pattern, hit) for pattern in [*patterns, patterns[0]]])
     assert apart.shape == (5, 5)
     assert apart[0, 4] == 0 and (np.diag(apart) == 0).all()

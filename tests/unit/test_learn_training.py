@@ -55,7 +55,7 @@ def made(folder: Path, count: int = 4) -> Dataset:
         direction = rng.normal(size=(1, 3))
         direction /= np.linalg.norm(direction)
         hit = Impact(rng.uniform(-0.5, 0.5, (1, 3)), direction, [10.0 + k], -direction, 3.0, 0.2)
-        pattern = voronoi_pattern(rng.uniform(-1, 1, (3 + 2 * k, 3)) * (0.8, 0.6, 0.5), surface, GRID)
+        pattern = voronoi_pattern(rng.uniform(-1, 1, (3 + 2 * k, 3)) * (0.8, 0.6, 0.5), surface > 0, GRID)
         store.write_sample(folder, k, Sample(hit, pattern, k))
     store.write_unbroken(folder, count, None, 0)
     return open_dataset(folder)

@@ -81,7 +81,7 @@ def _named(stage: str, fragments: int) -> str:
 
 def _drawn(shape: Shape, resolution: int) -> _Field:
     surface = signed_distance(shape.mesh, Grid(resolution))
-    return _Field(encode(cells(surface, Grid(resolution), np.random.default_rng(0)), surface), surface)
+    return _Field(encode(cells(surface > 0, Grid(resolution), np.random.default_rng(0)), surface), surface)
 
 
 def _predicted(shape: Shape, resolution: int, path: Path) -> _Field:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepfracture.carve import voronoi_pattern
-from deepfracture.types import Floats32, FracturePattern, Grid
+from deepfracture.types import FracturePattern, Grid
 
 CELLS = 24
 """Sites of the pattern: about as many fragments as a medium hit leaves."""
@@ -13,7 +14,7 @@ DENSITY = 1000.0
 """[kg/m^3]"""
 
 
-def cells(surface: Floats32, grid: Grid, rng: np.random.Generator) -> FracturePattern:
-    """Voronoi cells of random sites inside a body with the distance `surface` to its surface, shape (r, r, r)."""
-    inside = grid.centres()[surface > 0]
-    return voronoi_pattern(inside[rng.choice(len(inside), CELLS, replace=False)], surface, grid)
+def cells(inside: NDArray[np.bool_], grid: Grid, rng: np.random.Generator) -> FracturePattern:
+    """Voronoi cells of random sites in a body, `inside` for the voxels whose centre lies in it, shape (r, r, r)."""
+    places = grid.centres()[inside]
+    return voronoi_pattern(places[rng.choice(len(places), CELLS, replace=False)], inside, grid)

@@ -6,7 +6,7 @@ import numpy as np
 
 from deepfracture.carve import cut
 from deepfracture.fracture import material
-from deepfracture.geometry import signed_distance
+from deepfracture.geometry import voxels_inside
 from deepfracture.progress import peak_mb
 from deepfracture.types import BadInput, Fragments, Grid, Material, Shape
 from deepfracture.world import Scene, throw_scene
@@ -22,7 +22,7 @@ STEPS = 60
 def bench_world(shape: Shape, resolution: int) -> list[Row]:
     """Add the fragments of a pattern of `pieces.CELLS` cells in the place of the shape, then step."""
     grid, made_of = Grid(resolution), material("plaster")
-    pattern = cells(signed_distance(shape.mesh, grid), grid, np.random.default_rng(0))
+    pattern = cells(voxels_inside(shape.mesh, grid), grid, np.random.default_rng(0))
     fragments = cut(shape, pattern, density=made_of.density)
     scene = throw_scene(shape.name, shape, np.random.default_rng(0), material=made_of.name)
     runs = [_run(scene, shape, made_of, fragments) for _ in range(RUNS + 1)][1:]

@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepfracture.carve import voronoi_pattern
 from deepfracture.fracture.separate import merge_dust
 from deepfracture.fracture.simulate import SMALLEST_CELLS
 from deepfracture.progress import stage
-from deepfracture.types import Floats, Floats32, FracturePattern, Grid, Impact, Shape
+from deepfracture.types import Floats, FracturePattern, Grid, Impact, Shape
 
+from .inside import Inside
 from .recalled import Memory
-from .surface import Surface
 from .voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
 
 ROUNDS = 20
@@ -33,25 +34,24 @@ class CentroidalVoronoi:
     grid: Grid
 
     @cached_property
-    def _surface(self) -> Surface:
-        return Surface(self.grid)
+    def _inside(self) -> Inside:
+        return Inside(self.grid)
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
-        surface = self._surface(shape)
+        inside, points = self._inside(shape), self._inside.points(shape)
         with stage("centroidal voronoi"):
-            inside = self._surface.inside(shape)
-            if not len(inside):
+            if not len(points):
                 return None
             count = round(float(np.clip(self.count(shape, impact), CELLS_AT_THRESHOLD // 2, MOST_CELLS)))
-            pattern = self._cells(spread(inside, impact.position[0], count, rng), surface)
+            pattern = self._cells(spread(points, impact.position[0], count, rng), inside)
             if pattern.count > count:  # the body's arms cut cells into several parts: so many sites too many
                 fewer = max(2, 2 * count - pattern.count)
-                pattern = self._cells(spread(inside, impact.position[0], fewer, rng), surface)
+                pattern = self._cells(spread(points, impact.position[0], fewer, rng), inside)
             return pattern
 
-    def _cells(self, sites: Floats, surface: Floats32) -> FracturePattern:
+    def _cells(self, sites: Floats, inside: NDArray[np.bool_]) -> FracturePattern:
         """Voronoi cells; what the voxels part from them as dust joins a neighbour, as in the simulator."""
-        pattern = voronoi_pattern(sites, surface, self.grid)
+        pattern = voronoi_pattern(sites, inside, self.grid)
         smallest = min(SMALLEST_CELLS, round(SMALLEST_CELLS * (self.grid.resolution / 64) ** 3))
         return replace(pattern, labels=merge_dust(pattern.labels, smallest))
 
@@ -67,11 +67,11 @@ def fitted_count(memory: Memory) -> Callable[[Shape, Impact], float]:
     return lambda shape, impact: float(np.exp(start + slope * np.log(impact.magnitude[0])))
 
 
-def spread(inside: Floats, hit: Floats, count: int, rng: np.random.Generator) -> Floats:
+def spread(points: Floats, hit: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Sites at the centres of their own cells.
 
     Args:
-        inside: Voxel centres of the body [m], shape (n, 3).
+        points: Voxel centres of the body [m], shape (n, 3).
         hit: Where it was hit [m], shape (3,).
         count: Sites wanted.
 
@@ -80,7 +80,7 @@ def spread(inside: Floats, hit: Floats, count: int, rng: np.random.Generator) ->
     """
     from scipy.spatial import KDTree
 
-    points = rng.permutation(inside)[:SAMPLES]
+    points = rng.permutation(points)[:SAMPLES]
     near = np.exp(-0.5 * (np.linalg.norm(points - hit, axis=1) / NEAR) ** 2) + 1e-12
     wanted = 0.5 / len(points) + 0.5 * near / near.sum()
     # In three dimensions cells of a density w are spread as w^(3/5) (Du, Faber and Gunzburger 1999, section 6).

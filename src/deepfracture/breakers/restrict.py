@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from deepfracture.carve.parts import connected_labels
-from deepfracture.geometry import signed_distance
+from deepfracture.geometry import voxels_inside
 from deepfracture.types import RESOLUTIONS, Floats, FracturePattern, Grid, Impact, Shape
 
 
@@ -37,8 +37,7 @@ def restricted(pattern: FracturePattern, piece: Shape) -> FracturePattern:
         piece: A fragment in its own frame (`world.pieces.as_shape`).
     """
     grid = piece_grid(piece, pattern.grid)
-    inside = signed_distance(piece.mesh, grid) > 0
-    voxels = np.argwhere(inside)
+    voxels = np.argwhere(voxels_inside(piece.mesh, grid))
     places = pattern.grid.to_index(grid.to_world(voxels) * piece.size + _middle(piece))
     own, lead = _between(pattern.labels, pattern.distance, places)
     labels, distance = np.zeros(grid.shape, np.int32), np.zeros(grid.shape, np.float32)

@@ -12,7 +12,7 @@ from deepfracture.fracture import critical_stress
 from deepfracture.progress import stage
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Shape
 
-from .surface import Surface
+from .inside import Inside
 
 CELLS_AT_THRESHOLD = 4
 MOST_CELLS = 60
@@ -28,22 +28,21 @@ class Voronoi:
     grid: Grid
 
     @cached_property
-    def _surface(self) -> Surface:
-        return Surface(self.grid)
+    def _inside(self) -> Inside:
+        return Inside(self.grid)
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
-        surface = self._surface(shape)
+        inside, points = self._inside(shape), self._inside.points(shape)
         with stage("voronoi"):
-            inside = self._surface.inside(shape)
-            if not len(inside):
+            if not len(points):
                 return None
             count = int(np.clip(count_by_stress(shape, impact, self.material), CELLS_AT_THRESHOLD, MOST_CELLS))
-            away = np.linalg.norm(inside - impact.position[0], axis=1)
+            away = np.linalg.norm(points - impact.position[0], axis=1)
             near = np.exp(-0.5 * (away / NEAR) ** 2) + 1e-12
-            around = rng.choice(len(inside), count - count // 2, p=near / near.sum())
-            anywhere = rng.choice(len(inside), count // 2)
-            sites = np.unique(inside[np.concatenate([around, anywhere])], axis=0)
-            return voronoi_pattern(sites, surface, self.grid)
+            around = rng.choice(len(points), count - count // 2, p=near / near.sum())
+            anywhere = rng.choice(len(points), count // 2)
+            sites = np.unique(points[np.concatenate([around, anywhere])], axis=0)
+            return voronoi_pattern(sites, inside, self.grid)
 
 
 def count_by_stress(shape: Shape, impact: Impact, material: Material) -> float:

@@ -11,30 +11,30 @@ from deepfracture.geometry.sampled import FAR
 from deepfracture.types import BadInput, FracturePattern, Grid
 
 
-def voronoi_pattern(sites: ArrayLike, surface_distance: ArrayLike, grid: Grid) -> FracturePattern:
+def voronoi_pattern(sites: ArrayLike, inside: ArrayLike, grid: Grid) -> FracturePattern:
     """Voronoi cells of `sites` inside a body, with exact distances to their walls.
 
     A cell that the body cuts into several connected parts gives one label for each.
 
     Args:
         sites: Distinct points [m], body frame, shape (n, 3).
-        surface_distance: Signed distance to the body's surface [m], positive inside, shape (r, r, r).
+        inside: Whether a voxel's centre lies in the body, bool, shape (r, r, r).
         grid: Voxels to fill.
 
     Raises:
         BadInput: Wrong shapes, or two sites at one place.
     """
     sites = np.ascontiguousarray(sites, float)
-    surface = np.ascontiguousarray(surface_distance, np.float32)
+    within = np.ascontiguousarray(inside)
     if sites.ndim != 2 or sites.shape[1] != 3 or len(sites) == 0:
         raise BadInput(f"sites must have shape (n, 3) with n > 0, got {sites.shape}")
-    if surface.shape != grid.shape:
-        raise BadInput(f"surface_distance must have shape {grid.shape}, got {surface.shape}")
+    if within.shape != grid.shape or within.dtype != np.bool_:
+        raise BadInput(f"inside must be bool of shape {grid.shape}, got {within.dtype} of {within.shape}")
     if len(np.unique(sites, axis=0)) < len(sites):
         raise BadInput("sites must be distinct, got two at one place")
     cells = np.zeros(grid.shape, np.int32)
     distance = np.zeros(grid.shape, np.float32)
-    _voronoi(grid.to_index(sites), surface, grid.spacing, cells, distance)
+    _voronoi(grid.to_index(sites), within, grid.spacing, cells, distance)
     return FracturePattern(grid, connected_labels(cells), np.minimum(distance, FAR))
 
 
@@ -44,13 +44,13 @@ def _squared(sites: np.ndarray, s: int, x: float, y: float, z: float) -> float:
 
 
 @njit(cache=True)
-def _voronoi(sites: np.ndarray, surface: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray) -> None:
-    r, n = surface.shape[0], len(sites)
+def _voronoi(sites: np.ndarray, inside: np.ndarray, spacing: float, cells: np.ndarray, distance: np.ndarray) -> None:
+    r, n = inside.shape[0], len(sites)
     for i in range(r):
         squared = np.empty(n)
         for j in range(r):
             for k in range(r):
-                if surface[i, j, k] <= 0:
+                if not inside[i, j, k]:
                     continue
                 own = 0
                 for s in range(n):

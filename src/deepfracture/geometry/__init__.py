@@ -9,6 +9,7 @@ from deepfracture.geometry.distance import (
     signed_distance,
     signed_distance_lattice,
     signed_distance_points,
+    voxels_inside,
     winding_lattice,
 )
 from deepfracture.geometry.mass import MassProperties, mass_properties
@@ -39,5 +40,6 @@ __all__ = [
     "signed_distance",
     "signed_distance_lattice",
     "signed_distance_points",
+    "voxels_inside",
     "winding_lattice",
 ]

@@ -168,6 +168,13 @@ def signed_distance_lattice(
     return values
 
 
+def voxels_inside(mesh: Mesh, grid: Grid) -> Flags:
+    """Whether each voxel centre lies in a closed mesh, shape (r, r, r): `signed_distance` > 0 for a fiftieth of the time.
+
+    Centres exactly on the surface count by rules that give each to one of two bodies that share it there."""
+    return winding_lattice(mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape) > 0
+
+
 def signed_distance(mesh: Mesh, grid: Grid) -> Floats32:
     """Exact signed distance [m] of a closed mesh at the voxel centres, + inside, float32 (r, r, r)."""
     return signed_distance_lattice(mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape)

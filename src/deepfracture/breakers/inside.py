@@ -1,41 +1,42 @@
-"""The distance to a shape's surface, computed once for a shape that is hit again and again."""
+"""Which voxels lie in a shape, computed once for one that is hit again and again."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from deepfracture.geometry import signed_distance
+from deepfracture.geometry import voxels_inside
 from deepfracture.progress import stage
-from deepfracture.types import BadInput, Floats, Floats32, Grid, Shape
+from deepfracture.types import BadInput, Floats, Grid, Shape
 
 THINNEST = 0.02
 """Mean thickness [voxels] below which hardly a voxel centre lies in a body, so that no pattern can be drawn on them."""
 
 
-class Surface:
+class Inside:
     """Remembers the shape that it saw last, and no other: fragments that break again come by the hundred."""
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        self._last: tuple[Shape, Floats32] | None = None
+        self._last: tuple[Shape, NDArray[np.bool_]] | None = None
 
-    def __call__(self, shape: Shape) -> Floats32:
-        """Signed distance of the voxel centres [m], positive inside, shape (r, r, r)."""
-        if self._last is None or self._last[0] is not shape:
-            with stage("distance field"):
-                self._last = shape, signed_distance(shape.mesh, self.grid)
-        return self._last[1]
-
-    def inside(self, shape: Shape) -> Floats:
-        """Voxel centres in the body [m], shape (n, 3); too few for a pattern only where the shape is a fragment.
+    def __call__(self, shape: Shape) -> NDArray[np.bool_]:
+        """Whether each voxel centre lies in the body, shape (r, r, r); hardly any only where it is a fragment.
 
         Raises:
             BadInput: A whole shape is so thin that it runs between them.
         """
-        points = self.grid.centres()[self(shape) > 0]
-        if shape.whole is None:
-            self._refuse_thin(shape, len(points))
-        return points
+        if self._last is None or self._last[0] is not shape:
+            with stage("voxels inside"):
+                inside = voxels_inside(shape.mesh, self.grid)
+                if shape.whole is None:
+                    self._refuse_thin(shape, int(inside.sum()))
+                self._last = shape, inside
+        return self._last[1]
+
+    def points(self, shape: Shape) -> Floats:
+        """Voxel centres in the body [m], shape (n, 3); as `__call__`."""
+        return self.grid.to_world(np.argwhere(self(shape)))
 
     def _refuse_thin(self, shape: Shape, count: int) -> None:
         """A sheet of area A/2 and thickness t holds A t / 2 h^3 voxel centres of spacing h."""
