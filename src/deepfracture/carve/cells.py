@@ -25,14 +25,15 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
     before = -1
     while len(empty) != before:
         before = len(empty)
-        empty = _grow(labels, empty)
+        empty = _grown(labels, empty)
     if len(empty):
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
     found = spread(lambda first, last: _edges(labels, ground.voxels, first, last), len(ground.voxels), least=65536)
     edges = np.concatenate(found)
-    changed = _join_diagonals(labels, edges)
+    faulty = spread(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=16384)
+    changed = _join_diagonals(labels, edges, np.concatenate(faulty))
     if len(changed):
         edges = _renewed(labels, edges, changed, np.zeros(labels.size, np.bool_))
     return labels, edges
@@ -54,14 +55,21 @@ def _on_ground(source, voxels, on_grid, labels):
     return empty[:count].copy()
 
 
-@njit(cache=True)
-def _grow(labels, empty):
-    """Label each voxel of `empty` as the labelled ones across its faces if they agree, else as most of its 26
-    neighbours, near ones counting more. Returns those that are still empty."""
-    flat, s1, s0 = labels.reshape(-1), labels.shape[2], labels.shape[1] * labels.shape[2]
+def _grown(labels: Labels, empty: Ints) -> Ints:
+    """Write the labels that empty voxels take over from their neighbours, all at once; those that are still empty."""
     found = np.zeros(len(empty), np.int32)
+    spread(lambda first, last: _grow(labels, empty, found, first, last), len(empty), least=4096)
+    labels.flat[empty] = found
+    return empty[found == 0]
+
+
+@njit(cache=True, nogil=True)
+def _grow(labels, empty, found, first, last):
+    """The label of each voxel of `empty`: that of the labelled ones across its faces if they agree, else that of most
+    of its 26 neighbours, near ones counting more; 0 if all of them are empty."""
+    flat, s1, s0 = labels.reshape(-1), labels.shape[2], labels.shape[1] * labels.shape[2]
     names, votes = np.empty(26, np.int32), np.empty(26)
-    for e in range(len(empty)):
+    for e in range(first, last):
         # Most lie beside one label only.
         name = 0
         for step in (-1, 1, -s1, s1, -s0, s0):
@@ -87,13 +95,6 @@ def _grow(labels, empty):
                 used += 1
         if used:
             found[e] = names[np.argmax(votes[:used])]
-    left = 0
-    for e in range(len(empty)):
-        flat[empty[e]] = found[e]
-        if found[e] == 0:
-            empty[left] = empty[e]
-            left += 1
-    return empty[:left]
 
 
 @njit(cache=True, nogil=True)
@@ -149,17 +150,35 @@ def _renewed(labels, edges, changed, dirty):
     return fresh[:count].copy()
 
 
+@njit(cache=True, nogil=True)
+def _diagonals(labels, edges, first, last):
+    """Which of some edges have a square beside them in which a label holds two opposite corners only."""
+    flat = labels.reshape(-1)
+    strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
+    found = np.empty(last - first, np.int64)
+    count = 0
+    for e in range(first, last):
+        p = strides[edges[e, 1]]
+        for q in strides:
+            if q != p and _corners(flat, edges[e, 0], p, q) != 0:
+                found[count] = e
+                count += 1
+                break
+    return found[:count]
+
+
 @njit(cache=True)
-def _join_diagonals(labels, edges):
+def _join_diagonals(labels, edges, faulty):
     """Mend every square of four voxels in which a label holds two opposite corners only; the voxels that change.
 
     The higher label gives way to the lower, so that this comes to an end; what a change spoils nearby is looked at
-    next. The border of the array is empty."""
+    next. So only the edges that have such a square at the start, `faulty`, need be visited. The border of the array
+    is empty."""
     flat = labels.reshape(-1)
     strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
     changed = np.empty(64, np.int64)
     top, done = 0, 0
-    for e in range(len(edges)):
+    for e in faulty:
         p = strides[edges[e, 1]]
         for q in strides:
             if q != p:
@@ -177,15 +196,12 @@ def _join_diagonals(labels, edges):
 @njit(cache=True, inline="always")
 def _mend(flat, v, p, q, changed, top):
     """Mend the square v, v + p, v + q, v + p + q, and add a changed voxel to the list."""
-    a, b, c, d = flat[v], flat[v + p], flat[v + q], flat[v + p + q]
-    if a in (b, c) or a == 0 or b == 0 or c == 0 or d == 0:
+    which = _corners(flat, v, p, q)
+    if which == 0:
         return top, changed
-    if a == d:
-        one, two, left, right = v, v + p + q, v + p, v + q
-    elif b == c and b != d:
-        one, two, left, right = v + p, v + q, v, v + p + q
-    else:
-        return top, changed
+    one, two, left, right = v, v + p + q, v + p, v + q
+    if which == 2:
+        one, two, left, right = left, right, one, two
     if flat[left] > flat[right]:
         left, right = right, left
     if top == len(changed):
@@ -197,3 +213,15 @@ def _mend(flat, v, p, q, changed, top):
         flat[two] = flat[left]
         changed[top] = two
     return top + 1, changed
+
+
+@njit(cache=True, inline="always")
+def _corners(flat, v, p, q):
+    """Which opposite corners of a square have one label, and the others another: 1 for v and v + p + q, 2 for the
+    others, 0 for none."""
+    a, b, c, d = flat[v], flat[v + p], flat[v + q], flat[v + p + q]
+    if a in (b, c) or a == 0 or b == 0 or c == 0 or d == 0:
+        return 0
+    if a == d:
+        return 1
+    return 2 if b == c and b != d else 0

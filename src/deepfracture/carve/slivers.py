@@ -31,10 +31,10 @@ def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_fro
     corners, sides, source = _gathered(
         faces.outer, faces.source, faces.cell, of_outer, faces.inner, faces.sides, of_inner
     )  # fmt: skip
-    changed, sheets = False, (originals, nodes_from)
+    changed, sheets, news = False, (originals, nodes_from), np.ones(len(faces.positions), np.bool_)
     for _ in range(PASSES):
-        short = _short_edges(faces.positions, corners, shortest, nodes_from)
-        if not len(short) or not _collapse(faces.positions, corners, sides, source, short, shortest, sheets):
+        short = _short_edges(faces.positions, corners, shortest, nodes_from, news)
+        if not len(short) or not _collapse(faces.positions, corners, sides, source, short, shortest, sheets, news):
             break
         changed = True
     if not changed:
@@ -101,14 +101,16 @@ def _marked(faces, marked):
 
 
 @njit(cache=True)
-def _short_edges(positions, corners, shortest, nodes_from):
-    """Edges at a node below the length, the shortest first, the lower point first, shape (s, 2)."""
+def _short_edges(positions, corners, shortest, nodes_from, news):
+    """Edges at a node below the length, the shortest first, the lower point first, shape (s, 2).
+
+    Only those at points of `news`: what could not go keeps its reasons until a face around it changes."""
     found, lengths = np.empty((16, 2), np.int64), np.empty(16)
     count = 0
     for f in range(len(corners)):
         for n in range(3):
             a, b = corners[f, n], corners[f, (n + 1) % 3]
-            if a > b or a < 0 or b < nodes_from:
+            if a > b or a < 0 or b < nodes_from or not (news[a] or news[b]):
                 continue
             square = 0.0
             for x in range(3):
@@ -123,12 +125,14 @@ def _short_edges(positions, corners, shortest, nodes_from):
 
 
 @njit(cache=True)
-def _collapse(positions, corners, sides, source, short, shortest, sheets):
+def _collapse(positions, corners, sides, source, short, shortest, sheets, news):
     """Collapse what can go; rows of `corners` that are gone become -1. Returns how many edges went.
 
-    `sheets`: the first of the points that belong to sheets alone, and one past the last."""
+    `sheets`: the first of the points that belong to sheets alone, and one past the last. `news` is written anew: the
+    points with a face one of whose points has had a face changed."""
     slot, start, around = _faces_around(len(positions), corners, short)
     busy, seen = np.zeros(len(corners), np.bool_), np.zeros(len(corners) + 1, np.int64)
+    touched = np.zeros(len(positions), np.bool_)
     gone = 0
     for e in range(len(short)):
         a, b = short[e]
@@ -152,14 +156,22 @@ def _collapse(positions, corners, sides, source, short, shortest, sheets):
             busy[f] = True
         for f in other:
             busy[f] = True
+        touched[stays] = True
         for f in faces:
-            if corners[f, 0] == stays or corners[f, 1] == stays or corners[f, 2] == stays:
+            for n in range(3):
+                touched[corners[f, n]] = True
+            if _has(corners, f, stays):
                 corners[f] = -1
                 continue
             for n in range(3):
                 if corners[f, n] == goes:
                     corners[f, n] = stays
         gone += 1
+    news[:] = False
+    for f in range(len(corners)):
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        if a >= 0 and (touched[a] or touched[b] or touched[c]):
+            news[a] = news[b] = news[c] = True
     return gone
 
 

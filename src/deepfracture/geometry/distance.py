@@ -169,7 +169,7 @@ def signed_distance_lattice(
 
 
 def voxels_inside(mesh: Mesh, grid: Grid) -> Flags:
-    """Whether each voxel centre lies in a closed mesh, shape (r, r, r): `signed_distance` > 0 for a fiftieth of the time.
+    """Whether each voxel centre lies in a closed mesh, shape (r, r, r); distances take fifty times as long.
 
     Centres exactly on the surface count by rules that give each to one of two bodies that share it there."""
     return winding_lattice(mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape) > 0
