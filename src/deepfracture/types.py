@@ -7,9 +7,9 @@ Quaternions are (w, x, y, z). Everything is SI.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +25,15 @@ RESOLUTIONS = (32, 64, 128, 256)
 class BadInput(ValueError):
     """A file or value that cannot be used. The message is one line: which, what is wrong, what to do."""
 
+    status: ClassVar[int] = 2
+    """With which the program ends."""
+
 
 class NoSolution(RuntimeError):
     """A computation that came to no result. The message is one line: which, and why."""
+
+    status: ClassVar[int] = 1
+    """With which the program ends."""
 
 
 def _array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray:
@@ -419,6 +425,18 @@ class Track:
     def stop(self) -> int:
         """One past the last frame in which the body exists."""
         return self.start + len(self.positions)
+
+
+@dataclass(frozen=True)
+class Touch:
+    """How bodies touch: Coulomb coefficients, and the speed at which they part over that at which they met."""
+
+    friction: float = 0.5
+    """Between two bodies that move."""
+    fixed: Mapping[str, float] = field(default_factory=lambda: {"floor": 0.6})
+    """Between them and what is fixed, by the name of its track."""
+    restitution: float = 0.2
+    """Of every contact."""
 
 
 @dataclass(frozen=True, eq=False)

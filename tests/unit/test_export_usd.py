@@ -12,6 +12,7 @@ from deepfracture.export import write_usd
 from deepfracture.export.motion import break_frame, pivot_positions, pose, rotation_matrices
 from deepfracture.export.names import body_names
 from deepfracture.types import BadInput, Grid, Rigid, Track
+from deepfracture.world import Block, Floor, Placed, Scene
 
 WHY = "usd-core is not installed: pip install 'deepfracture[usd]'"
 Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation = (
@@ -286,6 +287,37 @@ def shattered():
         replace(scene, duration=0.8), [bar], breaker, np.random.default_rng(1), materials={"plaster": plaster}
     )
     return outcome.recording
+
+
+def touch(stage, name):
+    """Friction and restitution of a body's colliders, which all have the same."""
+    found = set()
+    for prim in Usd.PrimRange(stage.GetPrimAtPath(f"/deepfracture/{name}")):
+        if prim.HasAPI(UsdPhysics.CollisionAPI):
+            material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+            physics = UsdPhysics.MaterialAPI(material.GetPrim())
+            assert physics.GetStaticFrictionAttr().Get() == physics.GetDynamicFrictionAttr().Get()
+            found.add((physics.GetDynamicFrictionAttr().Get(), physics.GetRestitutionAttr().Get()))
+    assert len(found) == 1
+    return np.array(found.pop())
+
+
+def test_the_mean_of_two_physics_materials_is_how_the_bodies_touched(recording, tmp_path):
+    scene = Scene((Placed("bar", "plaster"),), floor=Floor(friction=0.7), friction=0.4, restitution=0.3)
+    stage = opened(recording, tmp_path / "a.usda", "simulated", touch=scene.touch)
+    names = dict(zip([track.kind for track in recording.tracks], body_names(recording), strict=True))
+    piece, ball, floor = (touch(stage, names[kind]) for kind in ("fragment", "ball", "floor"))
+    np.testing.assert_allclose((piece + ball) / 2, [0.4, 0.3], atol=1e-6)
+    np.testing.assert_allclose((piece + floor) / 2, [0.7, 0.3], atol=1e-6)
+    look, _ = UsdShade.MaterialBindingAPI(mesh_of(stage, names["ball"])).ComputeBoundMaterial()
+    assert not look.GetPrim().HasAPI(UsdPhysics.MaterialAPI)
+
+
+def test_a_scene_says_how_its_bodies_touch():
+    blocks = (Block((0, 0, 0), (1, 1, 1), friction=0.1), Block((0, 0, 0), (1, 1, 1), friction=0.9))
+    touch = Scene((Placed("bar", "plaster"),), floor=Floor(friction=0.7), blocks=blocks, friction=0.4, restitution=0.3).touch
+    assert (touch.friction, touch.restitution) == (0.4, 0.3)
+    assert touch.fixed == {"floor": 0.7, "block0": 0.1, "block1": 0.9}
 
 
 def started(stage):

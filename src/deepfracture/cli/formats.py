@@ -29,7 +29,7 @@ class Format:
 
 
 def _usd(outcome: Outcome, scene: Scene, path: Path) -> None:
-    write_usd(outcome.recording, path, gravity=scene.gravity)
+    write_usd(outcome.recording, path, gravity=scene.gravity, touch=scene.touch)
 
 
 def _film(outcome: Outcome, scene: Scene, path: Path) -> None:

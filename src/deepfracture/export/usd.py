@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..extras import need
-from ..types import BadInput, Floats, Recording, Rigid, Track
+from ..types import BadInput, Floats, Recording, Rigid, Touch, Track
 from .files import replacing, replacing_folder
 from .motion import (
     break_frame,
@@ -48,7 +49,12 @@ EPOCH = 315619200
 
 
 def write_usd(
-    recording: Recording, path: str | os.PathLike, *, gravity: float = 9.81, metres_per_unit: float = 1.0
+    recording: Recording,
+    path: str | os.PathLike,
+    *,
+    gravity: float = 9.81,
+    touch: Touch = Touch(),  # noqa: B008 - it cannot change
+    metres_per_unit: float = 1.0,
 ) -> None:
     """Write every body with its motion, its looks and its physics, in the user's coordinates.
 
@@ -65,6 +71,7 @@ def write_usd(
     break; so velocities read the same in its own space and in the world's. Under it lie the mesh, with a subset for
     each material of the user's file and one for the crack surface ("inner"), and as guides the convex hulls that we
     collide with ourselves. A track without `rigid` is its own convex hull, and its mass is left to the simulation.
+    Colliders have physics materials such that PhysX, which takes the mean of the two that touch, comes to `touch`.
 
     Up is the stage's z where it is the user's, else y; the user's coordinates are turned only if up is neither there,
     and then as in `write_glb`.
@@ -73,6 +80,7 @@ def write_usd(
         recording: What happened.
         path: Where to; see above for its suffix.
         gravity: Downwards [m/s^2], in the world of the recording.
+        touch: How its bodies touched.
         metres_per_unit: How long a unit of the user's coordinates is. As in glTF, a metre if nobody says. It only
             labels the file: the body that was simulated is two metres long, and gravity and velocities are such that
             it moves in the user's coordinates as it did then.
@@ -86,7 +94,7 @@ def write_usd(
     folder = "textures" if package else f"{path.stem}_textures"
     stage = _stage(recording, metres_per_unit)
     looks = Looks(stage, f"{ROOT}/_materials", folder)
-    _fill(stage, looks, recording, gravity)
+    _fill(stage, looks, recording, gravity, touch)
     if package:
         _write_package(stage, looks.textures, folder, path)
         return
@@ -163,7 +171,7 @@ class _Frame:
         return self.scale * positions @ self.turn.T + self.shift
 
 
-def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float) -> None:
+def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float, touch: Touch) -> None:
     """Everything under the root."""
     from pxr import Gf, UsdPhysics
 
@@ -177,6 +185,7 @@ def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float) 
     for track, name in zip(recording.tracks, body_names(recording), strict=True):
         if len(track.positions):  # else it broke before the first frame
             bodies.append(_Body(stage, looks, f"{ROOT}/{name}", track, frame, start, recording.frames))
+    _roughen(stage, bodies, touch)
     moving = [body for body in bodies if body.moves]
     for variant in ("recorded", "simulated"):  # the second takes prims away, so it comes last
         motion.AddVariant(variant)
@@ -185,6 +194,26 @@ def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float) 
             for body in moving:
                 body.record() if variant == "recorded" else body.release()
     motion.SetVariantSelection("recorded")
+
+
+def _roughen(stage: Usd.Stage, bodies: Sequence[_Body], touch: Touch) -> None:
+    """A physics material for every collider, one for all that have the same coefficients."""
+    from pxr import UsdPhysics, UsdShade
+
+    made: dict[float, UsdShade.Material] = {}
+    for body in bodies:
+        friction = touch.friction
+        if body.track.name in touch.fixed:
+            friction = max(2 * touch.fixed[body.track.name] - touch.friction, 0.0)
+        if friction not in made:
+            made[friction] = UsdShade.Material.Define(stage, f"{ROOT}/_materials/touch_{len(made)}")
+            physics = UsdPhysics.MaterialAPI.Apply(made[friction].GetPrim())
+            physics.CreateStaticFrictionAttr(friction)
+            physics.CreateDynamicFrictionAttr(friction)
+            physics.CreateRestitutionAttr(touch.restitution)
+        for collider in body.colliders:
+            binding = UsdShade.MaterialBindingAPI.Apply(collider.GetPrim())
+            binding.Bind(made[friction], UsdShade.Tokens.weakerThanDescendants, "physics")
 
 
 class _Body:

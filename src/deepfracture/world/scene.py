@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepfracture.files import replacing
-from deepfracture.types import BadInput, Floats, Shape
+from deepfracture.types import BadInput, Floats, Shape, Touch
 from deepfracture.words import meant
 from deepfracture.world.engine import ENGINES, rotation
 
@@ -180,6 +180,14 @@ class Scene:
             raise BadInput(f"again must be anything or balls, got {_shown(self.again)}")
         if not isinstance(self.breaker, str):
             raise BadInput(f"breaker must be text, got {_shown(self.breaker)}")
+
+    @property
+    def touch(self) -> Touch:
+        """How its bodies touch, for other programs."""
+        fixed = {f"block{i}": block.friction for i, block in enumerate(self.blocks)}
+        if self.floor is not None:
+            fixed["floor"] = self.floor.friction
+        return Touch(self.friction, fixed, self.restitution)
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
