@@ -219,3 +219,11 @@ def test_growing_memory_is_noticed_once_a_process_is_warm():
 def test_what_cannot_be_soaked_is_refused_in_one_line(wrong, said):
     with pytest.raises(BadInput, match=said):
         soak(Settings(**wrong), 1)
+
+
+def test_what_a_heavy_ball_drives_into_the_floor_does_not_sink_in():
+    """A ball of 142 kg at 59 m/s and splinters of 5 kg under it, which used to sink in by 74 mm."""
+    settings = Settings(("bar",), ("cvd",), seed=349)
+    row = hit(prepare(Shop(settings), case(settings, 0)))
+    assert row["breaks"] and not row["failures"]
+    assert row["deepest"] < 0.02

@@ -19,7 +19,8 @@ from deepfracture.world.scene import Ball, Block, Placed, Scene
 TRAVEL = 0.125
 """A ball moves at most this many radii a step, so that it is met at the surface and not behind a wall."""
 SHAPE_TRAVEL = 0.05
-"""A falling shape moves at most this far a step [m]."""
+"""A falling shape, and a ball among fragments, move at most this far a step [m]: what a ball drives into the floor would
+sink in as far."""
 
 DROWSY_SPEED, DROWSY_SPIN = 0.3, 2.0
 """What is slower [m/s, rad/s], on a floor, is about to come to rest ..."""
@@ -108,6 +109,8 @@ class Stage:
         self._rest = Rest()
         self._withstood: dict[int, float] = {}
         """Strongest impulse that a fragment was asked about and did not break from [N s]."""
+        self._gone: set[int] = set()
+        """Balls that are far from everything and flying away."""
         self.time = 0.0
         self._enter_balls()
 
@@ -200,7 +203,9 @@ class Stage:
         lying = any(body.fixed for body in self.bodies.values()) and self.scene.gravity > 0
         for body, motion in moving:
             rests = self._rest.update(body.number, motion, body.mass.centre, dt)
-            everything &= rests or (body.kind == "ball" and self._leaves(motion, moving))
+            leaves = body.kind == "ball" and self._leaves(motion, moving)
+            (self._gone.add if leaves else self._gone.discard)(body.number)
+            everything &= rests or leaves
             if lying and rests:
                 self.engine.slow(body.number, 0.0)
             elif lying and _drowsy(body, motion):
@@ -245,14 +250,13 @@ class Stage:
             self.bodies[number] = Body(number, f"ball{index}", "ball", None, mass, ball.radius, born=self.time)
 
     def _substeps(self, dt: float) -> int:
-        """As many that nothing fast jumps into a wall, while there is something to break."""
-        if not any(body.shape for body in self.bodies.values()):
-            return 1
+        """As many that nothing fast jumps into what it meets, until it leaves."""
+        breakable = any(body.shape for body in self.bodies.values())
         need = 1.0
         for body in self.bodies.values():
-            if body.kind in ("ball", "shape"):
+            if body.kind == "shape" or (body.kind == "ball" and body.number not in self._gone):
                 motion = self.engine.motion(body.number)
-                reach = TRAVEL * body.radius if body.kind == "ball" else SHAPE_TRAVEL
+                reach = TRAVEL * body.radius if breakable and body.kind == "ball" else SHAPE_TRAVEL
                 need = max(need, float(np.linalg.norm(motion.velocity)) * dt / reach)
         return int(np.ceil(need))
 
