@@ -7,9 +7,8 @@ adding momentum, and an impulse is m dv to 1e-4; the default multi-bodies oversh
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from deepfracture.extras import pip_line
+from deepfracture.files import scratch
 from deepfracture.types import BadInput, Floats
 from deepfracture.world.engine import (
     FLOOR_DEPTH,
@@ -78,7 +78,8 @@ class Bullet:
         self._ids: dict[int, int] = {}
         """Bullet's number of each body; Bullet gives a number again once its body is gone, we do not."""
         self._bodies: dict[int, int] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="deepfracture-")
+        self._opened = ExitStack()
+        self._folder = self._opened.enter_context(scratch())
         self._files = count()
         self._count = count()
 
@@ -155,7 +156,7 @@ class Bullet:
 
     def close(self) -> None:
         self._api.disconnect(**self._world)
-        self._folder.cleanup()
+        self._opened.close()
 
     def _add(self, shape: int, mass: float, moments: Floats, frame: _Frame, motion: Motion, damping: float) -> int:
         held = self._api.createMultiBody(mass, shape, useMaximalCoordinates=1, **self._world)
@@ -188,10 +189,9 @@ class Bullet:
             return self._api.createCollisionShape(self._api.GEOM_MESH, vertices=points, **self._world)
         # A file with one object a hull is pybullet's only way to a compound of hulls. It is read again when
         # the body is made, so it stays until the engine is closed.
-        path = os.path.join(self._folder.name, f"{next(self._files)}.obj")
-        with open(path, "w", encoding="ascii") as file:
-            file.write(_obj(hulls))
-        return self._api.createCollisionShape(self._api.GEOM_MESH, fileName=path, **self._world)
+        path = self._folder / f"{next(self._files)}.obj"
+        path.write_text(_obj(hulls), encoding="ascii")
+        return self._api.createCollisionShape(self._api.GEOM_MESH, fileName=str(path), **self._world)
 
 
 def _to_bullet(motion: Motion, frame: _Frame) -> tuple[list[float], list[float]]:

@@ -19,8 +19,8 @@ from deepfracture.world.scene import Ball, Block, Placed, Scene
 TRAVEL = 0.125
 """A ball moves at most this many radii a step, so that it is met at the surface and not behind a wall."""
 SHAPE_TRAVEL = 0.05
-"""A falling shape, and a ball among fragments, move at most this far a step [m]: what a ball drives into the floor would
-sink in as far."""
+"""A falling shape, and a ball among fragments, move at most this far a step [m]: what a ball drives into the floor
+would sink in as far."""
 
 DROWSY_SPEED, DROWSY_SPIN = 0.3, 2.0
 """What is slower [m/s, rad/s], on a floor, is about to come to rest ..."""
