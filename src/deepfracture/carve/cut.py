@@ -17,6 +17,7 @@ from deepfracture.progress import stage
 from deepfracture.threads import spread, together
 from deepfracture.types import (
     BadInput,
+    Floats,
     FracturePattern,
     Fragment,
     Fragments,
@@ -107,13 +108,7 @@ def _faces(
 ) -> Faces:
     """Both surfaces, divided where they cross; of the sheets only what lies inside."""
     n, v = len(ground.points), len(sheets.points)
-    world = grid.to_world(sheets.points + ground.low)
-    ends = np.where(crossing.on_surface[:, None], crossing.ends, crossing.ends + n)
-    world = np.concatenate([mesh.vertices, world])
-    from_, to = np.moveaxis(world[ends], 1, 0)
-    world = np.concatenate([world, from_ + crossing.share[:, None] * (to - from_)])
     boxed = np.concatenate([ground.points, sheets.points, crossing.positions])
-
     outer, inner = together(
         lambda: divide(
             crossed_triangles(
@@ -135,13 +130,27 @@ def _faces(
     within = walls[sheets.triangles[:, 0]] == INSIDE
     within[crossing.on_sheets.triangle] = False
     return Faces(
-        world,
+        _placed(mesh, grid, ground, sheets, crossing),
         np.concatenate([ground.faces[whole], outer.corners]),
         np.concatenate([np.flatnonzero(whole), outer.parent]),
         np.concatenate([cells[ground.faces[whole, 0]], outer.label]),
         np.concatenate([sheets.triangles[within] + n, inner.corners]),
         np.concatenate([sheets.sides[within], sheets.sides[inner.parent]]).astype(np.int64),
     )
+
+
+def _placed(mesh: Mesh, grid: Grid, ground: Ground, sheets: Sheets, crossing: Crossing) -> Floats:
+    """Positions of the surface's vertices, the sheets' and the nodes [m], shape (p, 3).
+
+    Nodes lie between the vertices as they are in the world: those on edges of the mesh exactly on them."""
+    n, v = len(ground.points), len(sheets.points)
+    world = np.empty((n + v + len(crossing.share), 3))
+    world[:n] = mesh.vertices
+    world[n : n + v] = grid.to_world(sheets.points + ground.low)
+    ends = np.where(crossing.on_surface[:, None], crossing.ends, crossing.ends + n)
+    from_, to = np.moveaxis(world[ends], 1, 0)
+    world[n + v :] = from_ + crossing.share[:, None] * (to - from_)
+    return world
 
 
 def _fragment(piece: Solid, density: float) -> Fragment:

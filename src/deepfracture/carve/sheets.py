@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numba import njit
@@ -72,15 +72,23 @@ def crack_sheets(
     )  # fmt: skip
     links = _linked(labels, around, edges, base, kind)
     points = _relaxed(np.clip(points, middle - REACH, middle + REACH), trusted, links, middle)
-    rng = np.random.default_rng(seed)
     if grain > 0:
+        rng = np.random.default_rng([seed, 1])
         points = np.clip(points + rng.uniform(-grain, grain, points.shape), middle - REACH, middle + REACH)
-    jitter = rng.uniform(-JITTER, JITTER, (len(points) + len(edges), 3))
+    jitter = _jitter(seed, 1 << (len(points) + len(edges)).bit_length())
     points += jitter[: len(points)]
     turns = np.empty(len(edges), np.int8)
     spread(lambda first, last: _turns(labels.shape, points, around, edges, turns, first, last), len(edges), least=8192)
     points, triangles, sides, quads = _triangles(labels, points, around, edges, turns, jitter[len(points) :])
     return Sheets(points, cubes, number, triangles, sides, quads, around)
+
+
+@lru_cache(maxsize=2)
+def _jitter(seed: int, count: int) -> Floats:
+    """The same for every cut with a seed, shape (count, 3): drawing takes as long as smoothing."""
+    jitter = np.random.default_rng(seed).uniform(-JITTER, JITTER, (count, 3))
+    jitter.setflags(write=False)
+    return jitter
 
 
 @njit(cache=True)

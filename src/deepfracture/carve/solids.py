@@ -73,28 +73,22 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     number = np.full(len(into) + 1, -1)
     number[names] = np.arange(len(names))
     solid = number[into][shell]
-    goes = _going(solid, outer, inner)
+    goes, joined = _going(solid, outer, inner, len(names))
     order, face_start = _sorted(solid, goes, len(names))
-    joined = np.bincount(solid[goes & (solid >= 0)], minlength=len(names)) > 0
     if joined.any():
         twin = _relinked(twin, goes, outer, inner)
-    fans, points, point_end = np.empty((len(order), 3), np.int64), np.empty(3 * len(order), np.int32), names.copy()
     local = np.full(3 * len(corners), -1, np.int32)
-    spread(
-        lambda first, last: _numbered(
-            corners, twin, order, face_start, local, points, fans, point_end, first, last
-        ),
-        len(names), least=1,
-    )  # fmt: skip
-    source = np.where(order < outer, faces.source[np.minimum(order, outer - 1)], -1)
-    made, doubles = [], [np.empty((0, 2), np.int64)]
-    for n in range(len(names)):
-        span = slice(face_start[n], face_start[n + 1])
-        own = points[3 * face_start[n] : point_end[n]]
-        if joined[n]:
-            doubles.append(own[_doubles(fans[span], len(own))].astype(np.int64))
-        made.append(Solid(Mesh(faces.positions[own], fans[span]), source[span]))
-    return made, np.concatenate(doubles)
+
+    def make(n: int) -> tuple[Solid, Ints]:
+        own = order[face_start[n] : face_start[n + 1]]
+        fans, points = _numbered(corners, twin, own, local)
+        positions, source = _taken(faces.positions, points, faces.source, own)
+        twice = points[_doubles(fans, len(points))] if joined[n] else np.empty((0, 2), np.int64)
+        return Solid(Mesh(positions, fans), source), twice
+
+    made = spread(lambda first, last: [make(n) for n in range(first, last)], len(names), least=1)
+    pairs = [pair for part in made for pair in part]
+    return [solid for solid, _ in pairs], np.concatenate([np.empty((0, 2), np.int64), *(twice for _, twice in pairs)])
 
 
 def _doubles(faces: Ints, count: int) -> Ints:
@@ -178,13 +172,15 @@ def _mate(face, outer, inner):
 
 
 @njit(cache=True, nogil=True)
-def _going(solid, outer, inner):
-    """Which faces go: those between two parts of a solid, and flat debris."""
-    goes = solid < 0
+def _going(solid, outer, inner, count):
+    """Which faces go: those between two parts of a solid, and flat debris; and which solids have such parts."""
+    goes, joined = solid < 0, np.zeros(count, np.bool_)
     for f in range(outer, outer + inner):
         if solid[f] == solid[f + inner]:
             goes[f] = goes[f + inner] = True
-    return goes
+            if solid[f] >= 0:
+                joined[solid[f]] = True
+    return goes, joined
 
 
 @njit(cache=True, nogil=True)
@@ -435,23 +431,33 @@ def _relinked(twin, goes, outer, inner):
 
 
 @njit(cache=True, nogil=True)
-def _numbered(corners, twin, order, face_start, local, points, faces, point_end, first, last):
-    """Corners of the sorted faces of some solids by the solid's own vertices, one for each fan of faces around a point.
+def _numbered(corners, twin, own, local):
+    """Corners of a solid's faces `own` by the solid's own vertices, one for each fan of faces around a point, shape
+    (m, 3), and the point of each vertex. `local`: scratch, -1 at the corners of these faces."""
+    faces, points = np.empty((len(own), 3), np.int64), np.empty(3 * len(own), np.int64)
+    used = 0
+    for f in range(len(own)):
+        for n in range(3):
+            corner = 3 * own[f] + n
+            if local[corner] < 0:
+                points[used] = corners[own[f], n]
+                at = corner
+                while local[at] < 0:
+                    local[at] = used
+                    back = twin[at]
+                    at = back - 2 if back % 3 == 2 else back + 1
+                used += 1
+            faces[f, n] = local[corner]
+    return faces, points[:used].copy()
 
-    Writes `faces`; the points of a solid's vertices from three times its first face on, into `points`, and where they
-    end. `local`: scratch, -1 everywhere, one for each corner."""
-    for own in range(first, last):
-        base = used = 3 * face_start[own]
-        for f in range(face_start[own], face_start[own + 1]):
-            for n in range(3):
-                corner = 3 * order[f] + n
-                if local[corner] < 0:
-                    points[used] = corners[order[f], n]
-                    at = corner
-                    while local[at] < 0:
-                        local[at] = used - base
-                        back = twin[at]
-                        at = back - 2 if back % 3 == 2 else back + 1
-                    used += 1
-                faces[f, n] = local[corner]
-        point_end[own] = used
+
+@njit(cache=True, nogil=True)
+def _taken(positions, points, source, own):
+    """The positions of a solid's vertices, and the source of each of its faces `own`, -1 of cracks."""
+    taken, come_from = np.empty((len(points), 3)), np.empty(len(own), np.int64)
+    for n in range(len(points)):
+        for x in range(3):
+            taken[n, x] = positions[points[n], x]
+    for f in range(len(own)):
+        come_from[f] = source[own[f]] if own[f] < len(source) else -1
+    return taken, come_from

@@ -48,23 +48,21 @@ def _moments(vertices: Floats, faces: Ints, pivot: Floats):  # pragma: no cover
 
     For a tetrahedron with one corner there they are volume / 4 * sum of corners c, and
     volume / 20 * (sum of c c^T + (sum of c) (sum of c)^T)."""
-    volume, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
-    a, b, c, total = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    p, q, r = pivot
+    volume, x, y, z, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for f in range(len(faces)):
-        for x in range(3):
-            a[x] = vertices[faces[f, 0], x] - pivot[x]
-            b[x] = vertices[faces[f, 1], x] - pivot[x]
-            c[x] = vertices[faces[f, 2], x] - pivot[x]
-            total[x] = a[x] + b[x] + c[x]
-        part = a[0] * (b[1] * c[2] - b[2] * c[1])
-        part += a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
-        part /= 6
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, az = vertices[a, 0] - p, vertices[a, 1] - q, vertices[a, 2] - r
+        bx, by, bz = vertices[b, 0] - p, vertices[b, 1] - q, vertices[b, 2] - r
+        cx, cy, cz = vertices[c, 0] - p, vertices[c, 1] - q, vertices[c, 2] - r
+        sx, sy, sz = ax + bx + cx, ay + by + cy, az + bz + cz
+        part = (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)) / 6
         volume += part
-        for x in range(3):
-            first[x] += part * total[x] / 4
-            for y in range(x, 3):
-                second[x, y] += part * (a[x] * a[y] + b[x] * b[y] + c[x] * c[y] + total[x] * total[y]) / 20
-    for x in range(3):
-        for y in range(x):
-            second[x, y] = second[y, x]
-    return volume, first, second
+        x, y, z = x + part * sx, y + part * sy, z + part * sz
+        xx += part * (ax * ax + bx * bx + cx * cx + sx * sx)
+        xy += part * (ax * ay + bx * by + cx * cy + sx * sy)
+        xz += part * (ax * az + bx * bz + cx * cz + sx * sz)
+        yy += part * (ay * ay + by * by + cy * cy + sy * sy)
+        yz += part * (ay * az + by * bz + cy * cz + sy * sz)
+        zz += part * (az * az + bz * bz + cz * cz + sz * sz)
+    return volume, np.array([x, y, z]) / 4, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) / 20
