@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 TESTED := $(VENV)/installed-test
+# That run tests at once, whole files each: what a file's tests share is made once.
+PROCESSES ?= 2
 
 .PHONY: addon bench demo film docs test lint warm clean
 
@@ -31,7 +33,7 @@ test: $(TESTED)
 	$(BIN)/ruff check src tests benchmarks examples blender
 	$(BIN)/ruff format --check src tests benchmarks examples blender
 	$(BIN)/pyright
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses $(PROCESSES) --dist loadfile
 
 lint: $(TESTED)
 	$(BIN)/ruff check --fix src tests benchmarks examples blender
@@ -47,10 +49,12 @@ $(INSTALLED): $(BIN)/python pyproject.toml
 	$(BIN)/deepfracture warm
 	touch $@
 
-$(TESTED): $(INSTALLED)
-	$(BIN)/pip install --quiet --editable '.[test]'
+# All in one go, and bytecode of what is imported only: most of it never is.
+$(TESTED): $(BIN)/python pyproject.toml
+	$(BIN)/pip install --quiet --no-compile --editable '.[test]'
 	npm install --silent --no-package-lock --prefix tests/tools || echo "no npm: the glTF validator test will be skipped"
-	touch $@
+	$(BIN)/deepfracture warm
+	touch $(INSTALLED) $@
 
 clean:
 	rm -rf $(VENV) shattered runs

@@ -20,8 +20,9 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +39,9 @@ HOST = "127.0.0.1"
 RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
 """A cluster on the loopback tells nobody and asks for no token."""
 SEED = 7
+BUCKET = "data"
+Digests = dict[str, str]
+"""Of files or objects, by their keys."""
 LIMIT, MEMORY = 60.0, 3.0
 """Seconds and gigabytes that a collision may take in the run with poison."""
 
@@ -56,9 +60,9 @@ class Log:
 
 def cluster(
     collisions: int = 60, resolution: int = 64, shape: str = "pot", cheap: float | None = None, wait: bool = False,
-    port: int = 6399, out: Path = ROOT / "runs" / "cluster",
+    port: int = 6399, bucket: bool = False, out: Path = ROOT / "runs" / "cluster",
 ) -> None:  # fmt: skip
-    """Fill the same data set in five ways and compare their bytes.
+    """Fill the same data set in five ways, or six, and compare their bytes.
 
     Args:
         collisions: of each data set.
@@ -67,6 +71,7 @@ def cluster(
         cheap: seconds of arithmetic that stand in for a collision; by default it is simulated.
         wait: spend these seconds waiting, as the two nodes would if each had a processor to itself.
         port: of the cluster's head on the loopback.
+        bucket: also into a bucket of an S3 server on the loopback.
         out: folder for the data sets, which are made anew, and cluster.md.
     """
     os.environ |= RAY
@@ -80,7 +85,8 @@ def cluster(
     run = _Runs(shape, collisions, resolution, healthy, out, log, f"{HOST}:{port}")
     rates = {"local, 2 processes": run("local", Local(2))}
     wanted = digests(out / "local")
-    with head(port, log):
+    stored = []
+    with bucket_server() if bucket else nullcontext(), head(port, log):
         with node(port, "A", 1, log):
             rates["ray, 1 worker"] = run("one", OnRay(run.address, None))
             with node(port, "B", 1, log) as second:
@@ -93,9 +99,16 @@ def cluster(
         with node(port, "C", 2, log):
             log(f"poisoned: {POISONED}, limit {LIMIT:g} s, memory {MEMORY:g} GB")
             run("poisoned", OnRay(run.address, None), prepare=Poisoned(healthy), limit=LIMIT, memory=MEMORY)
+            if bucket:
+                stored.append(run.into_bucket(wanted))
             for record in open_dataset(out / "poisoned").records:
                 if record.kind == "failed":
                     log(f"entry {record.name} failed: {record.reason}")
+    report(out, log, [*compared(out, wanted), *stored], rates)
+
+
+def compared(out: Path, wanted: Digests) -> list[tuple]:
+    """A row for each data set on disk: are its bytes those that are wanted?"""
     rows = []
     for name in ("local", "one", "two", "killed"):
         data, found = open_dataset(out / name), digests(out / name)
@@ -107,7 +120,7 @@ def cluster(
     data = open_dataset(out / "poisoned")
     rows.append(("poisoned", data.tried, len({r.number for r in data.records}), data.failed, len(found),
                  "equal but for the poisoned" if same else "DIFFERENT"))  # fmt: skip
-    report(out, log, rows, rates)
+    return rows
 
 
 @dataclass(frozen=True)
@@ -142,6 +155,42 @@ class _Runs:
             f"{rate:.2f} a second after the first quarter"
         )
         return rate
+
+    def into_bucket(self, wanted: Digests) -> tuple:
+        """By Ray into a bucket; its row of the table."""
+        import obstore
+        from obstore.store import S3Store
+
+        begun = time.monotonic()
+        data = simulate_collisions(
+            builtin(self.shape), material("plaster"), f"s3://{BUCKET}/set", collisions=self.collisions,
+            resolution=self.resolution, seed=SEED, speed_range=(4.0, 15.0), executor=OnRay(self.address, None),
+            prepare=self.healthy,
+        )  # fmt: skip
+        self.log(f"bucket: {data.tried} entries, {data.failed} failed, in {time.monotonic() - begun:.1f} s")
+        there = S3Store(BUCKET, prefix="set", client_options={"allow_http": True})
+        keys = [found["path"] for page in obstore.list(there) for found in page]
+        found = {key: hashlib.sha256(obstore.get(there, key).bytes()).hexdigest() for key in keys}
+        same = "equal" if found == wanted else "DIFFERENT"
+        return ("bucket", data.tried, len({r.number for r in data.records}), data.failed, len(found), same)
+
+
+@contextmanager
+def bucket_server() -> Iterator[None]:
+    """A server on the loopback that speaks S3, with an empty bucket, where the environment says."""
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(HOST, 0, verbose=False)
+    server.start()
+    logging.getLogger("werkzeug").setLevel(logging.WARNING)  # it tells of every request
+    endpoint = "http://{}:{}".format(*server.get_host_and_port())
+    os.environ |= {"AWS_ENDPOINT_URL": endpoint, "AWS_REGION": "us-east-1",
+                   "AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing"}  # fmt: skip
+    urllib.request.urlopen(urllib.request.Request(f"{endpoint}/{BUCKET}", method="PUT"))
+    try:
+        yield
+    finally:
+        server.stop()
 
 
 def report(out: Path, log: Log, rows: list[tuple], rates: dict[str, float]) -> None:
@@ -242,7 +291,7 @@ def kill_family(process: subprocess.Popen) -> int:
     return len(family)
 
 
-def digests(folder: Path) -> dict[str, str]:
+def digests(folder: Path) -> Digests:
     """Hash of every file of a data set."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}

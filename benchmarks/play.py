@@ -1,6 +1,6 @@
 """What the page of `deepfracture play` costs, seen from the other end of its connection, as a browser would.
 
-python benchmarks/play.py --what latency stream page load memory
+python benchmarks/play.py --what latency stream page load crowd memory
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ CELLS = 140
 CLIENTS = 20
 ROUNDS = 3
 """Clicks of each client under load."""
+CROWDS, LEAVING = 15, 5
+"""Rounds of clients that come and go, and how many go after each."""
 SECONDS = 5.0
 """For which a stream is watched."""
 
@@ -109,6 +111,10 @@ class Tab:
                 self._send_now(type="GuiUpdateMessage", uuid=message["uuid"], updates=value)
                 return
         raise LookupError(label)
+
+    def forget(self) -> None:
+        """What was heard, but the controls."""
+        self.heard[:] = [(at, m) for at, m in self.heard if m["type"].startswith("Gui") and "props" in m]
 
     def wait(self, since: int, found, patience: float = 120.0) -> float:
         """When the first message after the first `since` came for which `found(message)` is true."""
@@ -287,6 +293,32 @@ def load() -> None:
         say(f"a tab that clicks but does not read for 17 s: {grown:+.0f} MB; another tab: {_spread(_round([alone]))}")
 
 
+def crowd() -> None:
+    """Twenty clients that come and go, three hundred breaks: memory after every twenty."""
+    with served(Options("pot", port=0, most_tabs=2 * CLIENTS)) as (url, process):
+        began = resident_mb(process)
+        tabs = [Tab(url) for _ in range(CLIENTS)]
+        for tab in tabs:
+            tab.ready()
+        held = [began, resident_mb(process)]
+        for _ in range(CROWDS):
+            _round(tabs)
+            for tab in tabs[:LEAVING]:
+                tab.close()
+            tabs = tabs[LEAVING:] + [Tab(url) for _ in range(LEAVING)]
+            for tab in tabs[-LEAVING:]:
+                tab.ready()
+            for tab in tabs:
+                tab.forget()
+            held.append(resident_mb(process))
+            say(f"{CLIENTS * (len(held) - 2)} breaks: {held[-1]:.0f} MB")
+        for tab in tabs:
+            tab.close()
+        time.sleep(5.0)
+        say(f"before, with {CLIENTS} tabs, after every {CLIENTS} breaks: {' '.join(f'{one:.0f}' for one in held)} MB; "
+            f"{resident_mb(process):.0f} MB when all have gone")  # fmt: skip
+
+
 def _round(tabs: Sequence[Tab]) -> list[float]:
     """Every tab clicks; milliseconds until each sees a fragment move. Then all begin anew."""
     since = [len(tab.heard) for tab in tabs]
@@ -380,7 +412,7 @@ def memory(shots: int = 100) -> None:
                 since = len(tab.heard)
                 tab.press("Reset")
                 tab.ready(since)
-                tab.heard[:] = [(at, m) for at, m in tab.heard if m["type"].startswith("Gui") and "props" in m]
+                tab.forget()
 
 
 def resident_mb(process: int | str = "self") -> float:
@@ -394,13 +426,13 @@ def say(line: str) -> None:
     sys.stdout.flush()
 
 
-def play(what: tuple[str, ...] = ("latency", "stream", "page", "load", "memory")) -> None:
+def play(what: tuple[str, ...] = ("latency", "stream", "page", "load", "crowd", "memory")) -> None:
     """Measure the page of `deepfracture play`.
 
     Args:
-        what: any of latency, stream, page, load and memory.
+        what: any of latency, stream, page, load, crowd and memory.
     """
-    jobs = {"latency": latency, "stream": stream, "page": web_page, "load": load, "memory": memory}
+    jobs = {"latency": latency, "stream": stream, "page": web_page, "load": load, "crowd": crowd, "memory": memory}
     if unknown := [name for name in what if name not in jobs]:
         raise BadInput(f"what must be any of {', '.join(jobs)}, got {unknown[0]!r}")
     for name in what:

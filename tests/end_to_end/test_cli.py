@@ -87,8 +87,8 @@ def test_a_file_of_ones_own_comes_back_in_its_own_coordinates(tmp_path: Path) ->
     box.apply_translation((100.0, 0.0, 50.0))
     box.export(tmp_path / "beam.stl")
     done(
-        "shatter", tmp_path / "beam.stl", "--breaker", "voronoi", "--resolution", 32, "--speed", 18, "--no-film",
-        "--out", tmp_path / "out",
+        "shatter", tmp_path / "beam.stl", "--breaker", "voronoi", "--resolution", 32, "--speed", 18, "--formats",
+        "fragments", "--out", tmp_path / "out",
     )  # fmt: skip
     check_output(tmp_path / "out")
     pieces = [trimesh.load(path, process=False) for path in (tmp_path / "out" / "fragments").iterdir()]
@@ -100,7 +100,7 @@ def test_a_file_of_ones_own_comes_back_in_its_own_coordinates(tmp_path: Path) ->
 @pytest.mark.slow
 def test_the_scene_that_shatter_writes_replays_the_same(tmp_path: Path) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
-    same = ("--breaker", "voronoi", "--resolution", 32, "--no-film")
+    same = ("--breaker", "voronoi", "--resolution", 32, "--formats", "glb")
     done("shatter", "bar", *same, "--speed", 18, "--seed", 5, "--out", one)
     done("shatter", "--scene", one / "scene.toml", *same, "--seed", 5, "--out", two)
     assert (one / "animation.glb").read_bytes() == (two / "animation.glb").read_bytes()
@@ -108,8 +108,9 @@ def test_the_scene_that_shatter_writes_replays_the_same(tmp_path: Path) -> None:
 
 def test_a_shape_by_its_other_name(tmp_path: Path) -> None:
     done(
-        "shatter", "letter-a", "--breaker", "voronoi", "--resolution", 32, "--speed", 14, "--no-film", "--out", tmp_path
-    )
+        "shatter", "letter-a", "--breaker", "voronoi", "--resolution", 32, "--speed", 14, "--formats", "fragments",
+        "--out", tmp_path,
+    )  # fmt: skip
     check_output(tmp_path)
 
 
@@ -128,7 +129,8 @@ def test_it_writes_the_formats_that_are_asked_for_and_no_others(tmp_path: Path) 
 
 
 def test_a_soft_touch_breaks_nothing_and_says_so(tmp_path: Path) -> None:
-    said = done("shatter", "bar", "--breaker", "voronoi", "--speed", 0.3, "--no-film", "--out", tmp_path)
+    options = ("--breaker", "voronoi", "--resolution", 32, "--no-film", "--out", tmp_path)
+    said = done("shatter", "bar", *options, "--speed", 0.3)
     assert "did not break" in said or "nothing touched it" in said
     assert json.loads((tmp_path / "report.json").read_text())["broke"] is False
 
@@ -183,7 +185,7 @@ def test_an_open_mesh_is_refused_with_counts_and_broken_when_repaired(tmp_path: 
     assert finished.returncode == 2
     assert "4 open shells" in finished.stderr and "try --repair" in finished.stderr
     done(
-        "shatter", DATA / "teapot.obj", "--repair", "--breaker", "voronoi", "--up", "y", "--speed", 20, "--no-film",
-        "--out", tmp_path / "out",
+        "shatter", DATA / "teapot.obj", "--repair", "--breaker", "voronoi", "--up", "y", "--speed", 20, "--formats",
+        "fragments", "--out", tmp_path / "out",
     )  # fmt: skip
     check_output(tmp_path / "out")

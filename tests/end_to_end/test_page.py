@@ -29,7 +29,7 @@ def opened(tmp_path_factory):
         page.on("request", lambda request: asked.append(request.url))
         page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(file.as_uri())
+        page.goto(file.as_uri() + browser_tools["COARSE"])
         page.wait_for_selector("canvas")
         yield page, asked, errors
         browser.close()
@@ -42,7 +42,8 @@ def clock(page):
 def picture_at(page, seconds):
     """The canvas, stopped at a time."""
     clock(page).fill(f"{seconds}")
-    page.wait_for_timeout(1500)
+    browser_tools["drawn"](page)
+    page.wait_for_timeout(300)
     browser_tools["close_notices"](page)
     shot = page.screenshot(clip={"x": 0, "y": 0, "width": 400, "height": 250}, timeout=PATIENCE)
     return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)

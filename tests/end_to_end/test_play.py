@@ -58,7 +58,7 @@ def tab(served):
 def open_tab(browser, url):
     opened = browser.new_context(viewport=VIEW, accept_downloads=True).new_page()
     opened.set_default_timeout(tools["PATIENCE"])
-    opened.goto(url)
+    opened.goto(f"{url}/{tools['COARSE']}")
     opened.wait_for_selector("canvas", state="attached")  # viser has a hidden one too
     opened.get_by_text(READY).wait_for()
     opened.get_by_text("Nothing hit yet").wait_for()

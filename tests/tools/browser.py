@@ -19,6 +19,8 @@ FLAGS = [
 ]
 PATIENCE = 120_000
 """Milliseconds: a browser without a graphics card draws seconds a picture on a busy machine."""
+COARSE = "?fixedDpr=0.5"
+"""At the end of a page's address: it draws a quarter of the points, at the same size."""
 
 
 def start_browser(playwright):
@@ -27,6 +29,13 @@ def start_browser(playwright):
         if found:
             return playwright.chromium.launch(executable_path=found, headless=True, args=FLAGS)
     pytest.skip("no Chromium on PATH (Debian: apt-get install chromium)")
+
+
+def drawn(page, pictures=4):
+    """Wait until the page has drawn so many pictures: on a busy machine seconds say nothing of that."""
+    page.evaluate(
+        "n => new Promise(done => { const f = () => n-- ? requestAnimationFrame(f) : done(); f() })", pictures
+    )
 
 
 def close_notices(page):

@@ -315,7 +315,9 @@ def test_the_mean_of_two_physics_materials_is_how_the_bodies_touched(recording, 
 
 def test_a_scene_says_how_its_bodies_touch():
     blocks = (Block((0, 0, 0), (1, 1, 1), friction=0.1), Block((0, 0, 0), (1, 1, 1), friction=0.9))
-    touch = Scene((Placed("bar", "plaster"),), floor=Floor(friction=0.7), blocks=blocks, friction=0.4, restitution=0.3).touch
+    touch = Scene(
+        (Placed("bar", "plaster"),), floor=Floor(friction=0.7), blocks=blocks, friction=0.4, restitution=0.3
+    ).touch
     assert (touch.friction, touch.restitution) == (0.4, 0.3)
     assert touch.fixed == {"floor": 0.7, "block0": 0.1, "block1": 0.9}
 

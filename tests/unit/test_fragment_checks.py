@@ -243,22 +243,22 @@ def test_a_crack_face_with_two_corners_in_one_place_fits_its_mate() -> None:
     inward, outward = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 2, 1], [0, 3, 2]])
     faces = np.concatenate([inward, outward])
     _, corner = np.unique(points, axis=0, return_inverse=True)
-    assert (_partners(corner.ravel()[faces], np.array([0, 0, 1, 1]), 3, np.zeros(4, bool)) == [2, 3, 0, 1]).all()
+    assert (_partners(corner.ravel()[faces], np.array([0, 0, 1, 1]), np.zeros(4, bool)) == [2, 3, 0, 1]).all()
     assert (
-        _partners(corner.ravel()[faces], np.array([0, 0, 0, 1]), 3, np.zeros(4, bool)) == [-1, 3, -1, 1]
+        _partners(corner.ravel()[faces], np.array([0, 0, 0, 1]), np.zeros(4, bool)) == [-1, 3, -1, 1]
     ).all()  # of one fragment
-    assert (_partners(corner.ravel()[faces[:3]], np.array([0, 0, 1]), 3, np.zeros(3, bool)) == [2, -1, 0]).all()
+    assert (_partners(corner.ravel()[faces[:3]], np.array([0, 0, 1]), np.zeros(3, bool)) == [2, -1, 0]).all()
 
 
 def test_crack_faces_with_the_same_corners_fit_if_the_neighbour_has_as_many_mirrored() -> None:
     forth, back = [0, 1, 2], [0, 2, 1]
     faces = np.array([forth, forth, back, back, back, forth])
-    partner = _partners(faces, np.array([0, 0, 0, 1, 1, 1]), 3, np.ones(6, bool))
+    partner = _partners(faces, np.array([0, 0, 0, 1, 1, 1]), np.ones(6, bool))
     assert (partner[partner] == np.arange(6)).all() and sorted(partner[:3]) == [3, 4, 5]
     assert all((faces[p] == [f[0], f[2], f[1]]).all() for f, p in zip(faces, partner, strict=True))
     assert (
-        _partners(faces, np.array([0, 0, 0, 1, 1, 2]), 3, np.ones(6, bool)) == -1
+        _partners(faces, np.array([0, 0, 0, 1, 1, 2]), np.ones(6, bool)) == -1
     ).any()  # a third fragment between them
-    assert (_partners(faces[:5], np.array([0, 0, 0, 1, 1]), 3, np.ones(5, bool)) == -1).any()  # one missing
-    wide = _partners(faces, np.array([0, 0, 0, 1, 1, 1]), 3, np.zeros(6, bool))
+    assert (_partners(faces[:5], np.array([0, 0, 0, 1, 1]), np.ones(5, bool)) == -1).any()  # one missing
+    wide = _partners(faces, np.array([0, 0, 0, 1, 1, 1]), np.zeros(6, bool))
     assert (wide == -1).all()  # whatever has a width must be alone with its mate

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from deepfracture.geometry import builtin
+from deepfracture.geometry import builtin, intersect
 from deepfracture.geometry.intersect import TOUCH, _beside, _boxes, _cross, _planes, self_intersections
 from deepfracture.types import BadInput, Mesh
 from deepfracture.validation.meshes import box, icosphere, together
@@ -170,3 +170,20 @@ def test_the_quick_look_beside_a_plane_never_hides_a_crossing():
                     looked += 1
                     assert not _cross(corners[s], corners[t], TOUCH)
     assert looked > 5000
+
+
+@pytest.mark.parametrize("spread", [0.02, 0.3, 3.0])
+def test_faces_round_a_hub_cross_as_all_others_do(spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, n = np.random.default_rng(3), 2 * intersect.HUB
+    rim = [rng.normal(size=(n, 1, 3)) + spread * rng.normal(size=(n, 2, 3)) for _ in range(2)]
+    rim[0][:9] = [(1, 0, 0), (-1, 0.01, 0)]  # wide, and one upon the other
+    rim[1][:20, 1] = rim[1][1:21, 0]  # neighbours
+    tips = np.array([[0, 0, 0], [0.4, 0.2, 0.1]])
+    points = np.concatenate([tips, *(part.reshape(-1, 3) + tip for part, tip in zip(rim, tips, strict=True))])
+    corner = 2 + np.arange(4 * n).reshape(-1, 2)
+    mesh = turned(Mesh(points, np.column_stack([np.repeat([0, 1], n), corner])))
+    found = self_intersections(mesh)
+    assert (found[:, 1] < n).sum() > 20 and (found[:, 0] >= n).sum() > 10 and len(found) > 100
+    monkeypatch.setattr(intersect, "HUB", 10**9)
+    assert np.array_equal(found, self_intersections(mesh))
+    assert len(self_intersections(mesh, most=30)) == 30

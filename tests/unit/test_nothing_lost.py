@@ -378,6 +378,18 @@ def test_shatter_on_a_full_disk_keeps_the_former_result(tmp_path: Path) -> None:
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
 
+def test_simulate_on_a_full_disk_ends_like_every_other_command(tmp_path: Path) -> None:
+    (tmp_path / "in the way").write_text("")
+    words = ["-q", "simulate", "bar", "--collisions", "1", "--resolution", "32", "--out"]
+    for out, limit in ((tmp_path / "set", 100), (tmp_path / "in the way" / "set", resource.RLIM_INFINITY)):
+        code = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}));"
+        code += f"from deepfracture.cli import main; main({[*words, str(out)]!r})"
+        ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert ended.returncode == 1
+        (line,) = ended.stderr.splitlines()
+        assert str(tmp_path) in line and "use another folder" in line
+
+
 def dataset(folder: Path) -> Path:
     """A data set of two patterns."""
     made = runpy.run_path(str(Path(__file__).parent / "test_learn_training.py"))["made"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import importlib
 import sys
@@ -14,9 +15,10 @@ import numpy as np
 import pytest
 
 from deepfracture.play import Options, page
+from deepfracture.play import library as shelves
 from deepfracture.play import server as served
 from deepfracture.play.guard import is_ray, number
-from deepfracture.play.library import Turns
+from deepfracture.play.library import Library, Turns
 from deepfracture.play.player import PICTURE, Player
 
 GOAL = np.array([0.0, 0.0, 0.2])
@@ -123,6 +125,26 @@ def test_a_world_goes_with_its_tab(client, url, tab, players):
         gc.collect()
     assert gone() is None
     assert breaks(client, tab)
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="the C library is not glibc")
+def test_what_is_free_goes_back_to_the_system_now_and_then(client, monkeypatch):
+    library = Library("bar")
+
+    def freed():
+        """Megabytes that go back when a world has left holes."""
+        held = [bytes([k % 7 + 1]) * 60_000 for k in range(3000)]
+        held = held[::100] + held[-1:]  # between which everything is free
+        before = client.resident_mb()
+        library.tidy()
+        return before - client.resident_mb()
+
+    assert freed() > 100
+    with monkeypatch.context() as patch:
+        patch.setattr(shelves, "TIDY", 1e9)
+        assert freed() < 20  # so soon it would cost more than it gives
+    monkeypatch.setattr(library, "_tidied", 0.0)
+    assert freed() > 100
 
 
 def test_turns_are_given_in_the_order_of_coming():

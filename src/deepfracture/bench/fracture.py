@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
+from deepfracture.files import scratch
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.progress import collect_stages, peak_mb
 from deepfracture.types import Grid, Impact, Shape
@@ -97,8 +97,8 @@ def _median(values: Iterator[float]) -> float:
 def empty_cache() -> Iterator[None]:
     """A folder of its own for what is kept between runs, so that nothing is found there."""
     before = os.environ.get("XDG_CACHE_HOME")
-    with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
-        os.environ["XDG_CACHE_HOME"] = folder
+    with scratch() as folder:
+        os.environ["XDG_CACHE_HOME"] = str(folder)
         try:
             yield
         finally:

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ import numpy as np
 
 import deepfracture
 from deepfracture.extras import has, pip_line
+from deepfracture.files import scratch
 
 BASE = ("numpy", "scipy", "numba", "manifold3d", "rapier3d", "trimesh", "pillow")
 """Distributions whose versions matter when something goes wrong."""
@@ -229,8 +229,8 @@ def _page() -> str:
 def _film() -> str:
     import imageio_ffmpeg
 
-    with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
-        path = Path(folder) / "film.mp4"
+    with scratch() as folder:
+        path = folder / "film.mp4"
         writer = imageio_ffmpeg.write_frames(str(path), (64, 64), fps=30, codec="libx264", ffmpeg_log_level="error")
         writer.send(None)
         for grey in (0, 128, 255):
@@ -251,7 +251,7 @@ def _usd() -> str:
 
 def _store() -> str:
     zarr = import_module("zarr")
-    with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
+    with scratch() as folder:
         group = zarr.open_group(folder, mode="w")
         array = group.create_array("numbers", shape=(4,), dtype="f4")
         array[...] = np.arange(4)

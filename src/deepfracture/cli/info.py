@@ -98,7 +98,7 @@ def _json(path: Path) -> list[str]:
         return _scene(path)
     try:
         return _report(path, report)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: not a whole report of shatter ({str(error)[:200]}); run it again") from error
 
 

@@ -1,4 +1,5 @@
-"""`deepfracture COMMAND ...`: exit status 0 when the work was done, 2 for a bad file or value in one line."""
+"""`deepfracture COMMAND ...`: exit status 0 when the work was done, 2 for a bad file or value, 1 for what went
+wrong with good ones, such as a full disk; both in one line."""
 
 from __future__ import annotations
 
@@ -405,7 +406,7 @@ def main(args: Sequence[str] | None = None) -> None:
         if manner.verbose:
             log.debug("where it happened", exc_info=problem)
         sys.stderr.write(f"{NAME}: {problem}\n")
-        sys.exit(2 if isinstance(problem, BadInput) else 1)
+        sys.exit(problem.status)
     except OSError as problem:
         line = advice(problem)
         if line is None:

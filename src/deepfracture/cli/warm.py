@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 import time
-from pathlib import Path
 
+from deepfracture.files import scratch
 from deepfracture.progress import log
 
 
@@ -20,9 +19,9 @@ def warm() -> None:
     log.setLevel(logging.WARNING)
     try:
         for name, breaker in (("pot", "learned"), ("bar", "physical"), ("bar", "voronoi")):
-            with tempfile.TemporaryDirectory(prefix="deepfracture-") as folder:
+            with scratch() as folder:
                 shatter(
-                    name, breaker=breaker, out=Path(folder), material="plaster", throw=Throw(speed=16.0, heading=0.0),
+                    name, breaker=breaker, out=folder, material="plaster", throw=Throw(speed=16.0, heading=0.0),
                     scene=None, model=None, dataset=None, resolution=32, roughness=0.0, engine="rapier", seed=0,
                     repair=False, film=True,
                 )  # fmt: skip

@@ -31,6 +31,8 @@ PATIENCE = timedelta(seconds=60)
 class NotReached(BadInput):
     """The storage does not do what it should: a full disk, a missing right, a network that is down."""
 
+    status = 1
+
 
 class Storage(Protocol):
     """Objects by their keys, which are relative paths with slashes."""
@@ -283,4 +285,5 @@ def _told(path: Path, done: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise NotReached(advice(error) or f"{path}: cannot be {done}: {error.strerror or error}") from error
+        named = error if error.filename else OSError(error.errno, error.strerror, str(path))
+        raise NotReached(advice(named) or f"{path}: cannot be {done}: {error.strerror or error}") from error

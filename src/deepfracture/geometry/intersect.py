@@ -14,6 +14,12 @@ FLAT = 1e-13
 """Distance [m] from a common plane up to which faces lie in it: what rounding leaves of a plane."""
 FIRM = 1e-6
 """Altitude [m] from which a face has a plane that others can be told to lie beside."""
+WIDE = 1e-3
+"""Side of a box [m] from which faces beyond it do not lie in one plane with the face but for rounding, nor cross it."""
+HUB = 64
+"""Faces round a vertex from which they are told apart by direction: all their boxes meet in the vertex."""
+ASIDE = 1e-6
+"""Angle between faces round a hub beyond which they meet in the hub alone: far above what rounding does to an angle."""
 
 
 def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH, most: int | None = None) -> Ints:
@@ -43,18 +49,60 @@ def self_intersections(mesh: Mesh, *, tolerance: float = TOUCH, most: int | None
     if len(mesh.faces) < 2:
         return np.zeros((0, 2), np.int64)
     limit = np.iinfo(np.int64).max if most is None else most
-    pairs = np.sort(_crossings(tree_of(mesh.triangles), tolerance, limit), axis=1)
+    tree, hub = tree_of(mesh.triangles), _hubs(mesh)
+    pairs = _crossings(tree, tree.corners, *_boxes(tree.corners, tolerance), hub[tree.order], tolerance, limit)
+    for vertex in np.unique(hub[hub >= 0]):
+        near = _crossings_round(mesh, vertex, np.flatnonzero(hub == vertex), tolerance, limit - len(pairs))
+        pairs = np.concatenate([pairs, near])
+    pairs = np.sort(pairs, axis=1)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
+def _hubs(mesh: Mesh) -> Ints:
+    """For each face its vertex with the most faces, if that is a hub, else -1, shape (m,)."""
+    degrees = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices))[mesh.faces]
+    corner = degrees.argmax(axis=1)
+    rows = np.arange(len(corner))
+    return np.where(degrees[rows, corner] >= HUB, mesh.faces[rows, corner], -1)
+
+
+def _crossings_round(mesh: Mesh, hub: int, faces: Ints, tolerance: float, most: int) -> Ints:
+    """Pairs among faces that have a hub as a corner.
+
+    They fill cones whose tip is the hub, so they have more than it in common only where these do: where the arcs meet
+    in which they are seen from the hub. A tree of the boxes of arcs finds these."""
+    low, high = _boxes(mesh.triangles[faces], tolerance)
+    faces = faces[low[:, 0] <= high[:, 0]]
+    others = mesh.faces[faces]
+    first = (others == hub).argmax(axis=1)[:, None]
+    ends = mesh.vertices[np.take_along_axis(others, (first + np.arange(1, 3)) % 3, axis=1)] - mesh.vertices[hub]
+    ends /= np.linalg.norm(ends, axis=2, keepdims=True)
+    # As far as the middle of an arc of the unit circle is from that of its chord.
+    bulge = 1 - 0.5 * np.linalg.norm(ends.sum(axis=1), axis=1)[:, None] + ASIDE
+    low, high = ends.min(axis=1) - bulge, ends.max(axis=1) + bulge
+    if len(faces) < 2:
+        return np.zeros((0, 2), np.int64)
+    tree = tree_of(np.stack([low, high, high], axis=1))
+    corners, none = mesh.triangles[faces[tree.order]], np.full(len(faces), -1)
+    return faces[_crossings(tree, corners, low[tree.order], high[tree.order], none, tolerance, most)]
+
+
 @njit(cache=True)
-def _crossings(tree: Tree, tolerance: float, most: int):  # pragma: no cover
-    """Unordered pairs of crossing faces, up to `most`. Each leaf position looks for partners behind itself."""
+def _crossings(
+    tree: Tree, corners: Floats, low: Floats, high: Floats, hub: Ints, tolerance: float, most: int
+):  # pragma: no cover
+    """Unordered pairs of crossing faces, up to `most`, but for those with a hub in common. Each leaf position looks for
+    partners behind itself.
+
+    corners, low, high, hub: The faces, their boxes and hubs (-1: none) in the order of the leaves."""
     found, count = np.empty((64, 2), np.int64), 0
-    corners = tree.corners
     stack = np.empty(STACK, np.int64)
-    low, high = _boxes(corners, tolerance)
     normals = _planes(corners)
+    inner_low, inner_high = _inner(low, high)
+    same = np.arange(1, len(hub) + 1)  # the end of the run of faces with one hub
+    for s in range(len(hub) - 2, -1, -1):
+        if hub[s] == hub[s + 1]:
+            same[s] = same[s + 1]
     for s in range(len(corners)):
         if low[s, 0] > high[s, 0]:
             continue
@@ -62,17 +110,22 @@ def _crossings(tree: Tree, tolerance: float, most: int):  # pragma: no cover
         while depth > 0:
             depth -= 1
             node = stack[depth]
-            if tree.spans[node, 1] <= s + 1 or not _meet(tree.boxes[node, 0], tree.boxes[node, 1], low[s], high[s]):
+            start, stop = max(s + 1, tree.spans[node, 0]), tree.spans[node, 1]
+            if stop <= start or not _meet(tree.boxes[node, 0], tree.boxes[node, 1], inner_low[s], inner_high[s]):
+                continue
+            if hub[s] >= 0 and hub[start] == hub[s] and same[start] >= stop:
                 continue
             child = tree.children[node]
             if child >= 0:
                 stack[depth], stack[depth + 1] = child, child + 1
                 depth += 2
                 continue
-            for t in range(max(s + 1, tree.spans[node, 0]), tree.spans[node, 1]):
+            for t in range(start, stop):
                 if (
-                    _meet(low[t], high[t], low[s], high[s])
+                    (hub[s] < 0 or hub[s] != hub[t])
+                    and _meet(low[t], high[t], inner_low[s], inner_high[s])
                     and not _beside(normals, corners, s, t, tolerance)
+                    and not _beside(normals, corners, t, s, tolerance)
                     and _cross(corners[s], corners[t], tolerance)
                 ):
                     if count == len(found):
@@ -82,6 +135,15 @@ def _crossings(tree: Tree, tolerance: float, most: int):  # pragma: no cover
                     if count >= most:
                         return found[:count].copy()
     return found[:count].copy()
+
+
+@njit(cache=True)
+def _inner(low: Floats, high: Floats):  # pragma: no cover
+    """Boxes without their sides, where these are WIDE apart: what only touches those does not cross.
+
+    In a flat one nearly all faces of a common plane touch."""
+    slack = np.where(high - low > WIDE, FLAT, 0.0)
+    return low + slack, high - slack
 
 
 @njit(cache=True)
@@ -198,10 +260,11 @@ def _cross(p: Floats, q: Floats, tolerance: float):  # pragma: no cover
 @njit(cache=True)
 def _overlap(x: float, y: float, z: float, p: Floats, q: Floats, limit: float):  # pragma: no cover
     """Whether triangles in one plane with this normal have more in common than a line, by the normals of all sides."""
-    normal, nothing = np.array((x, y, z)), np.zeros(3)
     for n in range(6):
         t = p if n < 3 else q
-        ux, uy, uz = _cross_product(nothing, normal, t[n % 3], t[(n + 1) % 3])
+        a, b = t[n % 3], t[(n + 1) % 3]
+        vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        ux, uy, uz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
         low_p, high_p = _span(ux, uy, uz, p, p[0])
         low_q, high_q = _span(ux, uy, uz, q, p[0])
         common = min(high_p, high_q) - max(low_p, low_q)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.types import BadInput, Ints, Mesh
@@ -45,44 +46,113 @@ class Faults:
         return ", ".join(f"{n} {what}{more if n > 1 else more[1:]}" for n, what, more in counts if n)
 
 
-def _half_edges(faces: Ints) -> Ints:
-    """Directed edges face by face, shape (3 m, 2)."""
-    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+@njit(cache=True)
+def ascending(rows: Ints) -> Ints:  # pragma: no cover
+    """The stable order in which rows of integers from 0 ascend, the first column first, shape (n,).
+
+    By counting, in a time that grows with the number of rows and the greatest integer only."""
+    order = np.arange(len(rows))
+    for column in range(rows.shape[1] - 1, -1, -1):
+        most = 0
+        for n in range(len(rows)):
+            most = max(most, rows[n, column])
+        start = np.zeros(most + 2, np.int64)
+        for n in range(len(rows)):
+            start[rows[n, column] + 1] += 1
+        start = np.cumsum(start)
+        after = np.empty_like(order)
+        for n in order:
+            value = rows[n, column]
+            after[start[value]] = n
+            start[value] += 1
+        order = after
+    return order
 
 
-def _undirected(edges: Ints) -> tuple[Ints, Ints]:
-    """The index of the undirected edge each half edge belongs to, and how many share it."""
-    ordered = np.sort(edges, axis=1)
-    _, which, counts = np.unique(ordered @ [1 + int(edges.max(initial=0)), 1], return_inverse=True, return_counts=True)
-    return which, counts
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """The half edges of a mesh, three a face, and the undirected edges that they belong to."""
+
+    ends: Ints
+    """From and to, of each half edge, shape (3 m, 2)."""
+    order: Ints
+    """Half edges, those of one edge next to each other, shape (3 m,)."""
+    which: Ints
+    """The edge that each half edge belongs to, shape (3 m,)."""
+    counts: Ints
+    """Half edges of each edge, shape (e,)."""
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        """Edges of two faces that agree on the outside, shape (e,)."""
+        low, high = self.ends.T
+        forward = np.bincount(self.which, low < high, len(self.counts))
+        return (self.counts == 2) & (forward == 1)
+
+    @property
+    def loops(self) -> NDArray[np.bool_]:
+        """Edges from a vertex to itself, as faces with two equal corners have them, shape (e,)."""
+        return np.bincount(self.which, self.ends[:, 0] == self.ends[:, 1], len(self.counts)) > 0
+
+    @property
+    def twins(self) -> tuple[Ints, Ints]:
+        """Half edges that follow each other in `order` on one edge: all pairs of those with two faces."""
+        same = np.flatnonzero(self.which[self.order[1:]] == self.which[self.order[:-1]])
+        return self.order[same], self.order[same + 1]
 
 
-def shells(faces: Ints) -> Ints:
-    """The number 0.. of the edge-connected piece each face belongs to, shape (m,)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+def edges_of(faces: Ints) -> Edges:
+    """All edges of the faces, numbered in ascending order of their vertices."""
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = np.minimum(*ends.T), np.maximum(*ends.T)
+    order = ascending(np.column_stack([low, high]))
+    low, high = low[order], high[order]
+    new = np.ones(len(order), bool)
+    new[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+    which = np.empty(len(order), np.int64)
+    which[order] = np.cumsum(new) - 1
+    return Edges(ends, order, which, np.bincount(which))
 
-    which, counts = _undirected(_half_edges(faces))
-    owner = np.arange(3 * len(faces)) // 3
-    # Faces and edges are the two sides of one graph.
-    size = len(faces) + len(counts)
-    graph = coo_array((np.ones(len(which), np.int8), (owner, len(faces) + which)), shape=(size, size))
-    labels = connected_components(graph, directed=False)[1][: len(faces)]
-    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
+
+@njit(cache=True)
+def _components(count: int, one: Ints, other: Ints) -> Ints:  # pragma: no cover
+    """The number 0.. of the connected part that each of `count` nodes belongs to, by the first node of each."""
+    root = np.arange(count)
+    for n in range(len(one)):
+        a, b = one[n], other[n]
+        while root[a] != a:
+            root[a] = root[root[a]]
+            a = root[a]
+        while root[b] != b:
+            root[b] = root[root[b]]
+            b = root[b]
+        root[max(a, b)] = min(a, b)
+    found = 0
+    for a in range(count):  # no root comes after what hangs on it
+        if root[a] == a:
+            root[a] = found
+            found += 1
+        else:
+            root[a] = root[root[a]]
+    return root
+
+
+def shells(faces: Ints, edges: Edges | None = None) -> Ints:
+    """The number 0.. of the edge-connected piece each face belongs to, shape (m,); `edges`: its own, if known."""
+    one, other = (edges or edges_of(faces)).twins
+    return _components(len(faces), one // 3, other // 3)
 
 
 def faults(mesh: Mesh) -> Faults:
     """What is wrong with the mesh as the surface of a solid."""
-    edges = _half_edges(mesh.faces)
-    which, counts = _undirected(edges)
-    forward = np.bincount(which, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1), minlength=len(counts))
-    piece = shells(mesh.faces)
-    boundary = counts[which] == 1
+    edges = edges_of(mesh.faces)
+    piece = shells(mesh.faces, edges)
+    boundary = edges.counts[edges.which] == 1
     opened = np.unique(np.repeat(piece, 3)[boundary])
     return Faults(
-        boundary=int((counts == 1).sum()),
-        crowded=int((counts > 2).sum()),
-        flipped=int(((counts == 2) & (forward != 0)).sum()),
+        boundary=int((edges.counts == 1).sum()),
+        crowded=int((edges.counts > 2).sum()),
+        flipped=int(((edges.counts == 2) & ~edges.sound).sum()),
         shells=int(piece.max(initial=-1)) + 1,
         open_shells=len(opened),
     )
@@ -90,10 +160,8 @@ def faults(mesh: Mesh) -> Faults:
 
 def torn_vertices(mesh: Mesh) -> Ints:
     """Vertices of edges that do not have just two agreeing faces, ascending."""
-    edges = _half_edges(mesh.faces)
-    which, counts = _undirected(edges)
-    forward = np.bincount(which, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1), minlength=len(counts))
-    return np.unique(edges[(counts[which] != 2) | (forward[which] != 0)])
+    edges = edges_of(mesh.faces)
+    return np.unique(edges.ends[~edges.sound[edges.which]])
 
 
 def shell_volumes(mesh: Mesh, piece: Ints) -> NDArray[np.float64]:
@@ -105,14 +173,13 @@ def shell_volumes(mesh: Mesh, piece: Ints) -> NDArray[np.float64]:
 
 def compact(vertices: NDArray, faces: Ints) -> Mesh:
     """The mesh without vertices that no face uses."""
-    used, inverse = np.unique(faces, return_inverse=True)
-    return Mesh(np.asarray(vertices, float)[used], inverse.reshape(-1, 3))
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    return Mesh(np.asarray(vertices, float)[used], (np.cumsum(used) - 1)[faces])
 
 
 def weld(vertices: NDArray, faces: Ints) -> Mesh:
     """One vertex a position, without degenerate or doubled faces or unused vertices."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     points, inverse = np.unique(np.asarray(vertices, float), axis=0, return_inverse=True)
@@ -122,10 +189,9 @@ def weld(vertices: NDArray, faces: Ints) -> Mesh:
         raise BadInput(f"most of its vertices are one point next to its box of {reach / WELD:.0e}; is one far off?")
     pairs = tree.query_pairs(reach, output_type="ndarray")
     if len(pairs):
-        graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-        label = connected_components(graph, directed=False)[1]
+        label = _components(len(points), *pairs.T.astype(np.int64))
         keep = np.unique(label, return_index=True)[1]
-        points, faces = points[keep], label[faces].astype(np.int64)
+        points, faces = points[keep], label[faces]
     keep = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     faces = faces[keep]
     if not len(faces):
@@ -134,48 +200,41 @@ def weld(vertices: NDArray, faces: Ints) -> Mesh:
     return compact(points, faces[np.sort(first)])
 
 
+def fans(faces: Ints, edges: Edges | None = None) -> Ints:
+    """The number 0.. of the fan of faces round a vertex that each corner belongs to, shape (m, 3); `edges`: their own,
+    if known."""
+    edges = edges or edges_of(faces)
+    one, other = edges.twins
+    after = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    # Corners of the two faces of an edge belong together, at each of its ends; a half edge starts at its own corner.
+    flip = edges.ends[one, 0] != edges.ends[other, 0]
+    starts, ends = np.where(flip, after[other], other), np.where(flip, other, after[other])
+    return _components(faces.size, np.concatenate([one, after[one]]), np.concatenate([starts, ends])).reshape(-1, 3)
+
+
 def split_pinches(mesh: Mesh) -> Mesh:
     """The mesh with every vertex where surface parts only touch in a point taken apart, so that
     the faces round each vertex form one fan."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    faces = mesh.faces
-    corner_of = np.arange(faces.size).reshape(-1, 3)
-    edges = _half_edges(faces)
-    # Corners of the two faces of an edge belong together, at each of its ends.
-    starts, ends = corner_of[:, [0, 1, 2]].ravel(), corner_of[:, [1, 2, 0]].ravel()
-    which, _ = _undirected(edges)
-    order = np.argsort(which, kind="stable")
-    same = which[order][1:] == which[order][:-1]
-    one, other = order[:-1][same], order[1:][same]
-    flip = edges[one, 0] != edges[other, 0]
-    rows = np.concatenate([starts[one], ends[one]])
-    columns = np.concatenate([np.where(flip, ends[other], starts[other]), np.where(flip, starts[other], ends[other])])
-    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(faces.size,) * 2)
-    count, fan = connected_components(graph, directed=False)
+    fan = fans(mesh.faces)
+    count = int(fan.max(initial=-1)) + 1
     if count == len(mesh.vertices):
         return mesh
     owner = np.zeros(count, np.int64)
-    owner[fan] = faces.ravel()
-    return Mesh(mesh.vertices[owner], fan.reshape(-1, 3).astype(np.int64))
+    owner[fan] = mesh.faces
+    return Mesh(mesh.vertices[owner], fan)
 
 
 def neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_]]:
     """Pairs of faces across edges that exactly two share, and whether they agree on the outside."""
-    edges = _half_edges(faces)
-    which, counts = _undirected(edges)
-    order = np.argsort(which, kind="stable")
-    order = order[counts[which[order]] == 2].reshape(-1, 2)
-    agree = edges[order[:, 0], 0] != edges[order[:, 1], 0]
-    return order[:, 0] // 3, order[:, 1] // 3, agree
+    edges = edges_of(faces)
+    one, other = edges.order[edges.counts[edges.which[edges.order]] == 2].reshape(-1, 2).T
+    return one // 3, other // 3, edges.ends[one, 0] != edges.ends[other, 0]
 
 
 def boundary_loops(faces: Ints) -> list[Ints]:
     """The holes of an oriented mesh without pinches, each as vertices in the order a cap uses them."""
-    edges = _half_edges(faces)
-    which, counts = _undirected(edges)
-    rim = edges[counts[which] == 1][:, ::-1]
+    edges = edges_of(faces)
+    rim = edges.ends[edges.counts[edges.which] == 1][:, ::-1]
     after = {int(a): int(b) for a, b in rim}
     loops = []
     while after:

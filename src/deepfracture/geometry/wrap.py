@@ -48,7 +48,9 @@ def _closing(mesh: Mesh, spacing: float, reach: float, core: float) -> Mesh | No
     away = distance_lattice(mesh, origin, spacing, shape, limit=margin)
     free = np.where(_outside(away, reach), away, np.minimum(away, reach))
     outer = isosurface(np.asarray(free - reach, np.float32), origin, spacing)
-    inside = signed_distance_lattice(outer, origin, spacing, shape, limit=margin) - np.float32(reach)
+    # Outside any depth will do: the surface that is wanted lies `reach` within.
+    depth = signed_distance_lattice(outer, origin, spacing, shape, limit=margin, outside=spacing)
+    inside = depth - np.float32(reach)
     return isosurface(-inside, origin, spacing) if inside.max() > core else None
 
 

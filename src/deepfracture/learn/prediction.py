@@ -176,7 +176,7 @@ def load_model(path: Path | str) -> Model:
         name, channels, about = str(facts["shape"]), int(facts["channels"]), dict(facts["about"])
         surface = unpack_distance(arrays["surface"], grid)
         similarity = Similarity(**facts["similarity"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: not a model of deepfracture, or damaged ({error}); train it again") from error
     sizes = network.shapes(config, channels)
     n = max(len(arrays.get("rows", ())), 1)

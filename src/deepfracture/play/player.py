@@ -193,6 +193,7 @@ class Player:
             if self._session is not None:
                 self._session.close()
             shutil.rmtree(self._folder, ignore_errors=True)
+            self._library.tidy()
 
     def _guarded(self, job: Callable[[], None]) -> None:
         """What is wrong with a wish is said on the page; what is wrong with the program in the terminal too."""
@@ -253,6 +254,7 @@ class Player:
         self.pause(False)
         self._panel.readout(None, self.timing, entry)
         self._panel.status("")
+        self._library.tidy()
         if new:
             self._panel.look_at(self._session.at(0)[0])
 

@@ -11,7 +11,7 @@ from numba import njit
 from deepfracture.geometry import signed_distance_points
 from deepfracture.geometry.intersect import self_intersections
 from deepfracture.geometry.kernels import offset
-from deepfracture.geometry.topology import compact, shell_volumes, shells, split_pinches
+from deepfracture.geometry.topology import ascending, compact, edges_of, fans, shell_volumes, shells
 from deepfracture.types import BadInput, Floats, Fragments, Ints, Mesh, Shape
 
 SMALL = 1e-4
@@ -26,6 +26,8 @@ LOW = 1e-6
 """Altitude [m] of triangles that are too thin for an orientation, and for an area to be relative to."""
 AROUND = 2.0
 """Voxels around a point of a crack in which a plane is fitted to it."""
+TINY = float(np.finfo(float).tiny)
+"""Least divisor."""
 SAMPLES = 400
 """Points at which roughness is measured, at most."""
 
@@ -161,25 +163,22 @@ def _inherited(original: Mesh, fragments: Fragments, crossings: Sequence[Ints]) 
 
 
 def _check_piece(mesh: Mesh, crossings: int, inherited: int, voxel: float) -> FragmentCheck:
-    edges = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    n = len(mesh.vertices)
-    forth, times = np.unique(edges @ [n, 1], return_counts=True)
-    once = forth[times == 1]
-    lonely = np.setdiff1d(once, once % n * n + once // n, assume_unique=True)
-    used = len(np.unique(mesh.faces))
-    bodies, stray = _bodies(mesh)
-    lengths = _lengths(mesh.triangles)
-    altitudes = _altitudes(mesh.triangles)
+    edges = edges_of(mesh.faces)
+    # An edge from a vertex to itself is its own opposite.
+    sound = edges.sound | ((edges.counts == 1) & edges.loops)
+    used = int(np.count_nonzero(np.bincount(mesh.faces.ravel())))
+    bodies, stray = _bodies(mesh, shells(mesh.faces, edges))
+    lengths, altitudes = _measured(mesh.triangles)
     return FragmentCheck(
         faces=len(mesh.faces),
         volume=mesh.volume,
-        torn=int(times[times > 1].sum()) + len(lonely),
-        pinched=len(split_pinches(compact(mesh.vertices, mesh.faces)).vertices) - used,
+        torn=int(edges.counts[~sound].sum()),
+        pinched=int(fans(mesh.faces, edges).max(initial=-1)) + 1 - used,
         bodies=bodies,
         stray=stray,
         crossings=crossings - inherited,
         inherited=inherited,
-        euler=used - len(np.unique(np.sort(edges, axis=1) @ [n, 1])) + len(mesh.faces),
+        euler=used - len(edges.counts) + len(mesh.faces),
         shortest=float(lengths.min() / voxel),
         lowest=float(altitudes.min() / voxel),
         short=float((lengths < SMALL * voxel).mean()),
@@ -187,9 +186,8 @@ def _check_piece(mesh: Mesh, crossings: int, inherited: int, voxel: float) -> Fr
     )
 
 
-def _bodies(mesh: Mesh) -> tuple[int, int]:
+def _bodies(mesh: Mesh, part: Ints) -> tuple[int, int]:
     """Connected surfaces that face outwards, and inward ones that lie inside none of them."""
-    part = shells(mesh.faces)
     volumes = shell_volumes(mesh, part)
     outward = volumes > 0
     voids = np.flatnonzero(~outward)
@@ -207,14 +205,14 @@ def _check_outside(original: Mesh, triangles: Floats, source: Ints) -> OutsideCh
     triangles, source = triangles[own], source[own]
     normals = original.area_vectors
     areas = np.linalg.norm(normals, axis=1)
-    units = normals / np.maximum(areas, np.finfo(float).tiny)[:, None]
+    units = normals / np.maximum(areas, TINY)[:, None]
     vectors = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     along = np.einsum("ni,ni->n", vectors, units[source])
-    firm = (_altitudes(triangles) > LOW) & (_altitudes(original.triangles) > LOW)[source]
+    lengths, altitudes = _measured(original.triangles)
+    firm = (_measured(triangles)[1] > LOW) & (altitudes > LOW)[source]
     covered = np.bincount(source, weights=along, minlength=len(areas))
-    longest = _lengths(original.triangles).max(axis=1)
-    error = np.abs(covered - areas) / np.maximum(areas, LOW * longest / 2)
-    distances = _distances(triangles, np.array(original.triangles), source)
+    error = np.abs(covered - areas) / np.maximum(areas, LOW * lengths.max(axis=1) / 2)
+    distances = _distances(triangles, original.triangles, source)
     return OutsideCheck(
         faces=len(source),
         distance=float(distances.max(initial=0)),
@@ -227,14 +225,12 @@ def _check_outside(original: Mesh, triangles: Floats, source: Ints) -> OutsideCh
 def _check_cracks(meshes: Sequence[Mesh], inner: np.ndarray, voxel: float) -> CrackCheck:
     """`inner`: for each face of all fragments, one after the other, whether it lies on a crack."""
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])[inner]
-    triangles = np.concatenate([mesh.triangles for mesh in meshes])[inner]
-    points, corner = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    faces = corner.reshape(-1, 3).astype(np.int64)
-    partner = _partners(faces, owner, len(points), _altitudes(triangles) <= LOW)
+    points, faces = _common_points(meshes, inner)
+    partner = _partners(faces, owner, _measured(points[faces])[1] <= LOW)
     fits = partner >= 0
     # Each crack once, seen from the fragment with the lower number.
     seen = fits & (owner < owner[partner])
-    faces, crack = faces[seen], owner[seen] * len(meshes) + owner[partner[seen]]
+    faces, crack = faces[seen], np.column_stack([owner[seen], owner[partner[seen]]])
     return CrackCheck(
         faces=int(inner.sum()),
         alone=int((~fits).sum()),
@@ -243,52 +239,78 @@ def _check_cracks(meshes: Sequence[Mesh], inner: np.ndarray, voxel: float) -> Cr
     )
 
 
-def _partners(faces: Ints, owner: Ints, count: int, thin: np.ndarray) -> Ints:
+def _common_points(meshes: Sequence[Mesh], inner: np.ndarray) -> tuple[Floats, Ints]:
+    """The positions of the corners of inner faces, each once and ascending, and the faces between them."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])[inner]
+    used = compact(np.concatenate([mesh.vertices for mesh in meshes]), faces)
+    order = np.lexsort(used.vertices.T[::-1])
+    points = used.vertices[order]
+    new = _first(points)
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(new) - 1
+    return points[new], number[used.faces]
+
+
+def _first(rows: np.ndarray) -> np.ndarray:
+    """Whether each row differs from the one before."""
+    new = np.ones(len(rows), bool)
+    new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    return new
+
+
+def _partners(faces: Ints, owner: Ints, thin: np.ndarray) -> Ints:
     """For each face one that has its corners in opposite order, in another fragment, and belongs to no other face; -1
     where there is none.
 
     Only faces without width, those that are `thin`, may have the same corners several times: then as many in the one
     fragment as mirrored in the other, and in no third."""
+    partner = np.full(len(faces), -1)
+    if not len(faces):
+        return partner
     first = np.argmin(faces, axis=1)[:, None]
     a, b, c = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1).T
     # A face with two corners in one place looks the same from both sides.
     flat = (a == b) | (b == c) | (c == a)
-    b, c = np.where(flat, np.minimum(b, c), b), np.where(flat, np.maximum(b, c), c)
-    _, key = np.unique(np.concatenate([(a * count + b) * count + c, (a * count + c) * count + b]), return_inverse=True)
-    own, mirrored = key[: len(faces)], np.where(flat, key[: len(faces)], key[len(faces) :])
-    times = np.bincount(own, minlength=len(key))
-    holder = np.full(len(key), -1)
-    holder[own] = np.arange(len(faces))
-    partner = np.where((times[own] == 1) & (times[mirrored] == 1) & ~flat, holder[mirrored], -1)
-    partner[(partner >= 0) & (owner[partner] == owner)] = -1
-    many = (thin | flat) & (times[own] > 1) & (times[own] == np.where(flat, times[own], times[mirrored]))
-    order = np.lexsort((owner, own))
-    start = np.searchsorted(own[order], np.arange(key.max(initial=-1) + 2))
-    for here, there in {(min(two), max(two)) for two in zip(own[many].tolist(), mirrored[many].tolist(), strict=True)}:
-        one, other = order[start[here] : start[here + 1]], order[start[there] : start[there + 1]]
-        if here == there:
-            one, other = one[: len(one) // 2], one[len(one) // 2 :]
-        other = other[::-1]  # of two fragments the lower's faces first in the one, last in the other
-        if len(one) == len(other) and len(np.unique(owner[[*one, *other]])) == 2 and (owner[one] != owner[other]).all():
+    turned = (b > c) & ~flat
+    corners = np.column_stack([a, np.minimum(b, c), np.maximum(b, c)])
+    order = ascending(np.column_stack([corners, turned, owner]))
+    start = np.flatnonzero(_first(corners[order]))
+    size = np.diff(start, append=len(order))
+    pair = start[size == 2]
+    one, other = order[pair], order[pair + 1]
+    fit = ((turned[one] != turned[other]) | flat[one]) & (owner[one] != owner[other])
+    one, other = one[fit], other[fit]
+    partner[one], partner[other] = other, one
+    many = np.add.reduceat((thin | flat)[order], start, dtype=np.int64) > 0
+    sides = np.add.reduceat(turned[order], start, dtype=np.int64)
+    even = (size % 2 == 0) & ((2 * sides == size) | flat[order[start]])
+    for n in np.flatnonzero((size > 2) & many & even):
+        own = order[start[n] : start[n] + size[n]]
+        # Of two fragments the lower's faces first in the one, last in the other.
+        one, other = own[: len(own) // 2], own[len(own) // 2 :][::-1]
+        if len(np.unique(owner[own])) == 2 and (owner[one] != owner[other]).all():
             partner[one], partner[other] = other, one
     return partner
 
 
 def _bends(points: Floats, faces: Ints, crack: Ints, voxel: float) -> tuple[float, float, float]:
+    """`crack`: the two fragments beside each face, shape (m, 2)."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     face = np.arange(3 * len(faces)) // 3
-    order = np.lexsort((crack[face], edges[:, 1], edges[:, 0]))
+    rows = np.column_stack([edges, crack[face]])
+    order = ascending(rows)
     edges, face = edges[order], face[order]
-    pair = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1) & (crack[face[1:]] == crack[face[:-1]]))
+    pair = np.flatnonzero(~_first(rows[order])) - 1
     one, other = face[pair], face[pair + 1]
     # The direction of slivers is noise.
-    firm = _altitudes(points[faces]) > voxel / 100
+    corners = points[faces]
+    firm = _measured(corners)[1] > voxel / 100
     keep = firm[one] & firm[other]
     if not keep.any():
         return 0.0, 0.0, 0.0
-    corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), TINY)
     sine = np.linalg.norm(np.cross(normals[one], normals[other]), axis=1)[keep]
     angle = np.degrees(np.arctan2(sine, np.einsum("ni,ni->n", normals[one], normals[other])[keep]))
     length = np.linalg.norm(points[edges[pair, 0]] - points[edges[pair, 1]], axis=1)[keep]
@@ -302,29 +324,36 @@ def _roughness(points: Floats, faces: Ints, crack: Ints, voxel: float) -> float:
     from scipy.spatial import KDTree
 
     squares: list[float] = []
-    names, size = np.unique(crack, return_counts=True)
-    for name, count in zip(names, size, strict=True):
-        own = points[np.unique(faces[crack == name])]
+    order = ascending(crack)
+    for part in np.split(order, np.flatnonzero(_first(crack[order])))[1:]:
+        own = points[np.unique(faces[part])]
         tree = KDTree(own)
-        picks = np.linspace(0, len(own) - 1, min(len(own), max(1, SAMPLES * count // len(faces)))).astype(int)
+        picks = np.linspace(0, len(own) - 1, min(len(own), max(1, SAMPLES * len(part) // len(faces)))).astype(int)
         for centre, near in zip(picks, tree.query_ball_point(own[picks], AROUND * voxel), strict=True):
             if len(near) < 6:  # three points always lie in a plane
                 continue
-            spread = own[near] - own[near].mean(axis=0)
-            normal = np.linalg.svd(spread, full_matrices=False)[2][2]
-            squares.append(float(((own[centre] - own[near].mean(axis=0)) @ normal / voxel) ** 2))
+            around = own[near]
+            middle = around.mean(axis=0)
+            normal = np.linalg.svd(around - middle, full_matrices=False)[2][2]
+            squares.append(float(((own[centre] - middle) @ normal / voxel) ** 2))
     return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
-def _lengths(triangles: Floats) -> Floats:
-    """Sides of triangles, shape (m, 3)."""
-    return np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
-
-
-def _altitudes(triangles: Floats) -> Floats:
-    """Smallest altitude of each triangle, shape (m,)."""
-    doubled = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
-    return doubled / np.maximum(_lengths(triangles).max(axis=1), np.finfo(float).tiny)
+@njit(cache=True)
+def _measured(triangles: Floats):  # pragma: no cover
+    """Sides of triangles, shape (m, 3), and the smallest altitude of each, shape (m,)."""
+    lengths, altitudes = np.empty((len(triangles), 3)), np.empty(len(triangles))
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        for side in range(3):
+            p, q = triangles[t, side], triangles[t, side - 1]
+            x, y, z = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+            lengths[t, side] = np.sqrt(x * x + y * y + z * z)
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        altitudes[t] = np.sqrt(x * x + y * y + z * z) / max(lengths[t].max(), TINY)
+    return lengths, altitudes
 
 
 @njit(cache=True)

@@ -168,7 +168,8 @@ def load_field_model(path: Path, device: torch.device) -> FieldModel:
         with torch.device("meta"):
             wanted = {f"network.{key}": tuple(value.shape) for key, value in _skeleton(config).state_dict().items()}
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{path}: not a {KIND} of deepfracture, or damaged ({error}); train it again") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]  # torch writes whole signatures
+        raise BadInput(f"{path}: not a {KIND} of deepfracture, or damaged ({reason}); train it again") from error
     codes = len(arrays.get("codebook", ()))
     check(path, arrays, {**wanted, **siren_shapes(config), "codebook": (max(codes, 1), config.code_size)})
     network = build(config, surface)
