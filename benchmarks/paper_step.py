@@ -18,7 +18,8 @@ from deepfracture.learn.fields import preset
 from deepfracture.learn.fields.model import build, prepared
 from deepfracture.learn.fields.teaching import faster_precision
 from deepfracture.learn.team import pick_device
-from deepfracture.progress import log, peak_mb
+from deepfracture.memory import peak_mb
+from deepfracture.progress import log
 
 
 def main() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import resource
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -12,6 +11,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from threading import Lock, Timer
 from typing import TYPE_CHECKING, TypeVar
+
+from deepfracture.memory import peak_mb
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -36,12 +37,6 @@ class Stage:
 
 
 _stages: ContextVar[list[Stage] | None] = ContextVar("stages", default=None)
-
-
-def peak_mb() -> float:
-    """Highest resident memory of this process so far [MB]."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 @contextmanager

@@ -13,7 +13,8 @@ from deepfracture.carve import cut, encode, segment, segment_as_published
 from deepfracture.fracture import material
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import Model, embedded_model, load_model, predict
-from deepfracture.progress import Stopwatch, collect_stages, log, peak_mb
+from deepfracture.memory import peak_mb
+from deepfracture.progress import Stopwatch, collect_stages, log
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Impact, Shape, Volume
 
 from .hits import random_hits

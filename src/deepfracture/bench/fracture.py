@@ -11,7 +11,8 @@ import numpy as np
 
 from deepfracture.files import scratch
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
-from deepfracture.progress import collect_stages, peak_mb
+from deepfracture.memory import peak_mb
+from deepfracture.progress import collect_stages
 from deepfracture.types import Grid, Impact, Shape
 
 from .hits import random_hits

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.progress import Stage, peak_mb
+from deepfracture.memory import peak_mb
+from deepfracture.progress import Stage
 
 RUNS = 5
 """Warm runs whose median counts."""

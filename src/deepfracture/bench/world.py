@@ -7,7 +7,7 @@ import numpy as np
 from deepfracture.carve import cut
 from deepfracture.fracture import material
 from deepfracture.geometry import voxels_inside
-from deepfracture.progress import peak_mb
+from deepfracture.memory import peak_mb
 from deepfracture.types import BadInput, Fragments, Grid, Material, Shape
 from deepfracture.world import Scene, throw_scene
 from deepfracture.world.stage import Hit, Stage

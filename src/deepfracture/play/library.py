@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import os
 import re
-import sys
 import threading
 import time
 from collections import OrderedDict, deque
@@ -25,6 +23,7 @@ from deepfracture.fracture import FractureBody
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.learn import embedded_model
+from deepfracture.memory import give_back
 from deepfracture.progress import log
 from deepfracture.types import BadInput, Breaker, FracturePattern, Fragments, Grid, Impact, Material, Shape
 
@@ -126,18 +125,14 @@ class Library:
                 self._done.add(key)
 
     def tidy(self) -> None:
-        """Give memory that is free back to the system, at most once in `TIDY` seconds.
-
-        Every world has a thread, and glibc keeps what each of them frees for that thread's next one: without this
-        twenty tabs hold a gigabyte of holes. Other systems' libraries give it back by themselves."""
+        """Give free memory back to the system, at most once in `TIDY` seconds: every world has threads, and without
+        this twenty tabs hold a gigabyte of holes."""
         with self._lock:
             now = time.monotonic()
-            if now - self._tidied < TIDY or not sys.platform.startswith("linux"):
+            if now - self._tidied < TIDY:
                 return
             self._tidied = now
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # musl has none
-        if trim is not None:
-            trim(0)
+        give_back()
 
     def _load(self, name: str, model: Path | None, up: str | None) -> Entry:
         shape = load_shape(name)

@@ -20,7 +20,7 @@ from deepfracture.breakers.physical import Physical
 from deepfracture.breakers.restrict import piece_grid
 from deepfracture.fracture import MATERIALS, FractureBody
 from deepfracture.geometry import load_shape
-from deepfracture.progress import peak_mb
+from deepfracture.memory import give_back, resident_mb
 from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Recording, Shape, Track
 from deepfracture.validation.fragments import check_fragments
 from deepfracture.world import Live, Scene
@@ -169,6 +169,7 @@ def check(played: Played) -> dict[str, Any]:
                 row["failures"]["through floor"] = row["through"]
         except Exception as crash:
             row |= _crash(crash)
+    give_back()  # so that what is weighed is what is held, not what the largest scene once needed
     return row | {"resident_mb": resident_mb()}
 
 
@@ -239,12 +240,3 @@ def _lowest(track: Track) -> tuple[float, float]:
     height = track.positions[:, 2]
     corners = np.unique(np.concatenate(track.rigid.hulls), axis=0) if track.rigid.hulls else track.mesh.vertices
     return float((down @ track.rigid.centre + height).min()), float(((down @ corners.T).min(axis=1) + height).min())
-
-
-def resident_mb() -> float:
-    """Memory of this process now; its highest so far where the system does not say [MB]."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return peak_mb()
-    return pages * 4096 / 1e6
