@@ -112,7 +112,7 @@ class Live:
         for _ in range(scene.steps_per_second // scene.frame_rate):
             for hit in self._stage.step():
                 self.collisions.append(self._ask(hit))
-        moving = self._stage.moving()
+        moving = self._stage.lift(self._stage.moving())
         self._recorder.frame(moving)
         self.at_rest = self._stage.settle(moving, self._recorder.frame_time)
         return True

@@ -10,6 +10,7 @@ import numpy as np
 from deepfracture.geometry import mass_properties
 from deepfracture.types import BadInput, Floats, Fragment, Fragments, Impact, Ints, Material, Mesh, Shape
 from deepfracture.world.engine import Contact, Engine, Mass, Motion, Surface, cross, open_engine, rotation
+from deepfracture.world.footing import Footing
 from deepfracture.world.hulls import piece_hulls, whole_hulls
 from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of, totals
 from deepfracture.world.pieces import HARDER, SAME_BLOW, SMALLEST_SHARE, as_shape
@@ -21,6 +22,9 @@ TRAVEL = 0.125
 SHAPE_TRAVEL = 0.05
 """A falling shape, and a ball among fragments, move at most this far a step [m]: what a ball drives into the floor
 would sink in as far."""
+SINKING = 0.002
+"""Nothing stands deeper in the floor than this at the end of a frame [m]; what merely lies there does not sink in so
+far."""
 
 DROWSY_SPEED, DROWSY_SPIN = 0.3, 2.0
 """What is slower [m/s, rad/s], on a floor, is about to come to rest ..."""
@@ -109,6 +113,7 @@ class Stage:
         self._rest = Rest()
         self._withstood: dict[int, float] = {}
         """Strongest impulse that a fragment was asked about and did not break from [N s]."""
+        self._footing = Footing()
         self._gone: set[int] = set()
         """Balls that are far from everything and flying away."""
         self.time = 0.0
@@ -226,6 +231,24 @@ class Stage:
     def remove(self, body: Body) -> None:
         del self.bodies[body.number]
         self.engine.remove(body.number)
+
+    def lift(self, moving: list[tuple[Body, Motion]]) -> list[tuple[Body, Motion]]:
+        """Take out of the floor what has been pressed deeper into it than `SINKING`; returns where everything is then.
+
+        Contacts of an engine yield, most of all where a heavy body presses a light one; the floor does not. Only places
+        change, not velocities (post-stabilisation: Cline and Pai 2003), so nothing bounces because of it."""
+        if self.scene.floor is None:
+            return moving
+        standing = [(body, motion) for body, motion in moving if body.hulls]
+        lowest = self._footing.lowest([body for body, _ in standing], [motion for _, motion in standing])
+        depths = self.scene.floor.height - lowest
+        found = {}
+        for (body, motion), depth in zip(standing, depths, strict=True):
+            if depth > SINKING:
+                up = np.array([0.0, 0.0, depth - SINKING])
+                found[body.number] = replace(motion, position=motion.position + up)
+                self.engine.move(body.number, found[body.number])
+        return [(body, found.get(body.number, motion)) for body, motion in moving]
 
     def moving(self) -> list[tuple[Body, Motion]]:
         return [(b, self.engine.motion(b.number)) for b in self.bodies.values() if not b.fixed]
