@@ -30,9 +30,9 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
-    found = spread(lambda first, last: _edges(labels, ground.voxels, first, last), len(ground.voxels), least=65536)
+    found = spread(lambda first, last: _edges(labels, ground.voxels, first, last), len(ground.voxels), least=16384)
     edges = np.concatenate(found)
-    faulty = spread(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=16384)
+    faulty = spread(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=8192)
     changed = _join_diagonals(labels, edges, np.concatenate(faulty))
     if len(changed):
         edges = _renewed(labels, edges, changed, np.zeros(labels.size, np.bool_))
@@ -58,7 +58,7 @@ def _on_ground(source, voxels, on_grid, labels):
 def _grown(labels: Labels, empty: Ints) -> Ints:
     """Write the labels that empty voxels take over from their neighbours, all at once; those that are still empty."""
     found = np.zeros(len(empty), np.int32)
-    spread(lambda first, last: _grow(labels, empty, found, first, last), len(empty), least=4096)
+    spread(lambda first, last: _grow(labels, empty, found, first, last), len(empty), least=2048)
     labels.flat[empty] = found
     return empty[found == 0]
 

@@ -10,7 +10,7 @@ from numba import njit
 from deepfracture.carve.ground import Ground
 from deepfracture.carve.predicates import side, volume
 from deepfracture.carve.sheets import Sheets
-from deepfracture.threads import spread
+from deepfracture.threads import spread, together
 from deepfracture.types import Floats, Ints
 
 OUTSIDE, INSIDE = 1, 2
@@ -57,10 +57,8 @@ class Segments:
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """The curves in which sheets and surface meet."""
+    """The curves in which sheets and surface meet, from node to node."""
 
-    positions: Floats
-    """Of the nodes, in voxels of the box, shape (n, 3)."""
     ends: Ints
     """The two vertices of the edge that each node lies on, shape (n, 2); of the surface or of the sheets ..."""
     on_surface: np.ndarray
@@ -102,69 +100,104 @@ def cross(ground: Ground, sheets: Sheets) -> Crossing:
     if any(failed for failed, _ in found):
         raise NotGeneral
     segments = np.concatenate([part for _, part in found])
-    # An end of a segment is an edge (of the surface: ~number, of the sheets: code) and a triangle of the other.
-    keys = segments[:, 2:].reshape(-1, 2)
-    order = np.lexsort(keys.T)
-    fresh = np.ones(len(keys), bool)
-    fresh[1:] = (np.diff(keys[order], axis=0) != 0).any(axis=1)
-    node = np.empty(len(keys), np.int64)
-    node[order] = np.cumsum(fresh) - 1
-    nodes = keys[order][fresh]
-    on_surface = nodes[:, 0] < 0
-    ends = np.stack(np.divmod(nodes[:, 0], len(sheets.points)), axis=1)
-    ends[on_surface] = ground.edges[~nodes[on_surface, 0]]
-    share, from_below = np.empty(len(nodes)), np.empty(len(nodes), np.bool_)
+    node, nodes = _nodes(segments)
+    ends, share, sides = np.empty((len(nodes), 2), np.int64), np.empty(len(nodes)), np.empty((len(nodes), 2), np.int64)
     spread(
-        lambda first, last: _shares(
-            ground.points, ground.faces, sheets.points, sheets.triangles, nodes, ends, share, from_below, first, last
+        lambda first, last: _placed(
+            ground.points, ground.faces, ground.edges, sheets.points, sheets.triangles, sheets.sides, nodes,
+            ends, share, sides, first, last,
         ),
         len(nodes), least=1024,
     )  # fmt: skip
-    points = np.where(on_surface[:, None, None], ground.points[ends * on_surface[:, None]],
-                      sheets.points[ends * ~on_surface[:, None]])  # fmt: skip
-    positions = points[:, 0] + share[:, None] * (points[:, 1] - points[:, 0])
-    cells = sheets.sides[nodes[on_surface, 1]].astype(np.int64)
-    cells = np.where(from_below[on_surface, None], cells, cells[:, ::-1])
-    walls = np.where(from_below[~on_surface, None], [INSIDE, OUTSIDE], [OUTSIDE, INSIDE])
+    on_surface = nodes[:, 0] < 0
     # Where a segment runs, the cell below the sheet is on its left seen from outside the body, and the outside is
     # on its left seen from above the sheet.
     tail, head, (face, triangle) = node[::2], node[1::2], segments[:, :2].T
     below, above = sheets.sides[triangle].astype(np.int64).T
     return Crossing(
-        positions, ends, on_surface, share,
+        ends, on_surface, share,
         Segments(face, tail, head, below, above),
         Segments(triangle, tail, head, np.full_like(below, OUTSIDE), np.full_like(below, INSIDE)),
-        _along(np.flatnonzero(on_surface), ~nodes[on_surface, 0], share, cells),
-        _along(np.flatnonzero(~on_surface), nodes[~on_surface, 0], share, walls),
+        *together(
+            lambda: _along(np.flatnonzero(on_surface), ~nodes[on_surface, 0], share, sides),
+            lambda: _along(np.flatnonzero(~on_surface), nodes[~on_surface, 0], share, sides),
+        ),
     )  # fmt: skip
 
 
 def _along(nodes: Ints, codes: Ints, share: Floats, sides: Ints) -> EdgeNodes:
-    order = np.lexsort([share[nodes], codes])
-    edges, start = np.unique(codes[order], return_index=True)
-    before, after = sides[order].T
-    same = codes[order][1:] == codes[order][:-1]
-    if (after[:-1] != before[1:])[same].any():
+    order = np.argsort(codes)
+    nodes = nodes[order]
+    failed, edges, start = _runs(nodes, codes[order], share, sides)
+    if failed:
         raise NotGeneral
-    return EdgeNodes(edges, np.append(start, len(nodes)), nodes[order], before.copy(), after.copy())
+    return EdgeNodes(edges, start, nodes, sides[nodes, 0], sides[nodes, 1])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
+def _runs(nodes, codes, share, sides):
+    """Puts the nodes of each code into the order of their shares. Whether what lies between two of them has two names;
+    the codes; and where the nodes of each start."""
+    edges, start = np.empty(len(codes), np.int64), np.zeros(len(codes) + 1, np.int64)
+    count = 0
+    for n in range(len(codes)):
+        if n == 0 or codes[n] != codes[n - 1]:
+            edges[count], start[count] = codes[n], n
+            count += 1
+        node, m = nodes[n], n
+        while m > start[count - 1] and (share[nodes[m - 1]], nodes[m - 1]) > (share[node], node):
+            nodes[m] = nodes[m - 1]
+            m -= 1
+        nodes[m] = node
+    start[count] = len(codes)
+    failed = False
+    for n in range(1, len(codes)):
+        if codes[n] == codes[n - 1]:
+            failed |= sides[nodes[n - 1], 1] != sides[nodes[n], 0]
+    return failed, edges[:count].copy(), start[: count + 1].copy()
+
+
+@njit(cache=True, nogil=True)
+def _nodes(segments):
+    """The node at the tail and at the head of each segment, shape (2 k,); the edge (of the surface: ~number, of the
+    sheets: code) and the triangle of the other in which each node lies, shape (n, 2). A table with open addresses."""
+    count, size = 2 * len(segments), 16
+    while size < 2 * count:
+        size *= 2
+    table = np.full(size, -1, np.int64)
+    node, nodes = np.empty(count, np.int64), np.empty((count, 2), np.int64)
+    made = 0
+    for e in range(count):
+        edge, triangle = segments[e // 2, 2 + 2 * (e % 2)], segments[e // 2, 3 + 2 * (e % 2)]
+        at = (edge * 0x9E3779B97F4A7C1 + triangle * 0x2545F4914F6CDD1) >> 20 & (size - 1)
+        while table[at] >= 0 and (nodes[table[at], 0] != edge or nodes[table[at], 1] != triangle):
+            at = (at + 1) & (size - 1)
+        if table[at] < 0:
+            table[at], nodes[made, 0], nodes[made, 1] = made, edge, triangle
+            made += 1
+        node[e] = table[at]
+    return node, nodes[:made].copy()
+
+
+@njit(cache=True, nogil=True)
 def _members(number, count, touched, touching):
     """The faces that touch each of the sheets' cubes: where they start, and they."""
     start = np.zeros(count + 1, np.int64)
-    for cube in touched:
-        if number[cube] > 0:
-            start[number[cube]] += 1
+    hits = np.empty((len(touched), 2), np.int32)  # where it is not written to it costs nothing
+    found = 0
+    for p in range(len(touched)):
+        n = number[touched[p]]
+        if n > 0:
+            hits[found, 0], hits[found, 1] = n - 1, p
+            found += 1
+            start[n] += 1
     for n in range(count):
         start[n + 1] += start[n]
-    place = start[:-1].copy()
-    members = np.empty(start[-1], np.int64)
-    for p in range(len(touched)):
-        n = number[touched[p]] - 1
-        if n >= 0:
-            members[place[n]] = touching[p]
-            place[n] += 1
+    place, members = start[:-1].copy(), np.empty(found, np.int64)
+    for h in range(found):
+        n = hits[h, 0]
+        members[place[n]] = touching[hits[h, 1]]
+        place[n] += 1
     return start, members
 
 
@@ -393,16 +426,24 @@ def pierces(a, b, t):
 
 
 @njit(cache=True, nogil=True)
-def _shares(points, faces, sheet_points, triangles, nodes, ends, share, below, first, last):
-    """How far along its edge each of some nodes lies, and whether the edge's first vertex is below the other's
-    triangle."""
+def _placed(points, faces, edges, sheet_points, triangles, sides, nodes, ends, share, beside, first, last):
+    """Of some nodes: the ends of their edges, how far along they lie, and what the edge is in before and after it."""
+    t = np.empty((3, 3))
     for n in range(first, last):
-        if nodes[n, 0] < 0:
-            t, a, b = sheet_points[triangles[nodes[n, 1]]], points[ends[n, 0]], points[ends[n, 1]]
+        edge, triangle = nodes[n]
+        if edge < 0:
+            ends[n, 0], ends[n, 1] = edges[~edge, 0], edges[~edge, 1]
+            _copy(sheet_points, triangles, triangle, t)
+            one, two = _volume(t, points[ends[n, 0]]), _volume(t, points[ends[n, 1]])
+            beside[n, 0], beside[n, 1] = sides[triangle, 0], sides[triangle, 1]
         else:
-            t, a, b = points[faces[nodes[n, 1]]], sheet_points[ends[n, 0]], sheet_points[ends[n, 1]]
-        one, two = _volume(t, a), _volume(t, b)
-        share[n], below[n] = one / (one - two), one < 0
+            ends[n, 0], ends[n, 1] = edge // len(sheet_points), edge % len(sheet_points)
+            _copy(points, faces, triangle, t)
+            one, two = _volume(t, sheet_points[ends[n, 0]]), _volume(t, sheet_points[ends[n, 1]])
+            beside[n, 0], beside[n, 1] = INSIDE, OUTSIDE
+        if one >= 0:
+            beside[n, 0], beside[n, 1] = beside[n, 1], beside[n, 0]
+        share[n] = one / (one - two)
 
 
 @njit(cache=True, inline="always")

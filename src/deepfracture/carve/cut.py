@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from deepfracture.carve.cells import cell_labels
 from deepfracture.carve.crossing import INSIDE, OUTSIDE, Crossing, NotGeneral, cross, edge_codes
@@ -17,7 +18,6 @@ from deepfracture.progress import stage
 from deepfracture.threads import spread, together
 from deepfracture.types import (
     BadInput,
-    Floats,
     FracturePattern,
     Fragment,
     Fragments,
@@ -108,49 +108,95 @@ def _faces(
 ) -> Faces:
     """Both surfaces, divided where they cross; of the sheets only what lies inside."""
     n, v = len(ground.points), len(sheets.points)
-    boxed = np.concatenate([ground.points, sheets.points, crossing.positions])
-    outer, inner = together(
-        lambda: divide(
+    positions = _positions(
+        mesh.vertices, sheets.points, grid.to_world(ground.low), grid.spacing, crossing.ends, crossing.on_surface,
+        crossing.share,
+    )  # fmt: skip
+
+    def outside() -> tuple[Ints, Ints, Ints]:
+        parts = divide(
             crossed_triangles(
                 ground.faces, cells, lambda crossed: ground.edge_of[crossed], crossing.surface_nodes,
                 crossing.on_faces, 0, n + v,
             ),
-            boxed, unwanted=0,
-        ),
-        lambda: divide(
+            positions, unwanted=0,
+        )  # fmt: skip
+        return _outer(ground.faces, cells, crossing.on_faces.triangle, parts.corners, parts.label, parts.parent)
+
+    def within() -> tuple[Ints, Ints]:
+        parts = divide(
             crossed_triangles(
                 sheets.triangles, walls, lambda crossed: edge_codes(sheets.triangles[crossed], v),
                 crossing.sheet_nodes, crossing.on_sheets, n, n + v,
             ),
-            boxed, unwanted=OUTSIDE,
-        ),
-    )  # fmt: skip
-    whole = np.ones(len(mesh.faces), np.bool_)
-    whole[crossing.on_faces.triangle] = False
-    within = walls[sheets.triangles[:, 0]] == INSIDE
-    within[crossing.on_sheets.triangle] = False
-    return Faces(
-        _placed(mesh, grid, ground, sheets, crossing),
-        np.concatenate([ground.faces[whole], outer.corners]),
-        np.concatenate([np.flatnonzero(whole), outer.parent]),
-        np.concatenate([cells[ground.faces[whole, 0]], outer.label]),
-        np.concatenate([sheets.triangles[within] + n, inner.corners]),
-        np.concatenate([sheets.sides[within], sheets.sides[inner.parent]]).astype(np.int64),
-    )
+            positions, unwanted=OUTSIDE,
+        )  # fmt: skip
+        return _inner(
+            sheets.triangles, sheets.sides, walls, crossing.on_sheets.triangle, parts.corners, parts.parent, n
+        )
+
+    (outer, source, cell), (inner, sides) = together(outside, within)
+    return Faces(positions, outer, source, cell, inner, sides)
 
 
-def _placed(mesh: Mesh, grid: Grid, ground: Ground, sheets: Sheets, crossing: Crossing) -> Floats:
+@njit(cache=True)
+def _positions(vertices, sheet_points, low, spacing, ends, on_surface, share):
     """Positions of the surface's vertices, the sheets' and the nodes [m], shape (p, 3).
 
     Nodes lie between the vertices as they are in the world: those on edges of the mesh exactly on them."""
-    n, v = len(ground.points), len(sheets.points)
-    world = np.empty((n + v + len(crossing.share), 3))
-    world[:n] = mesh.vertices
-    world[n : n + v] = grid.to_world(sheets.points + ground.low)
-    ends = np.where(crossing.on_surface[:, None], crossing.ends, crossing.ends + n)
-    from_, to = np.moveaxis(world[ends], 1, 0)
-    world[n + v :] = from_ + crossing.share[:, None] * (to - from_)
+    n, v = len(vertices), len(sheet_points)
+    world = np.empty((n + v + len(share), 3))
+    world[:n] = vertices
+    for p in range(v):
+        for x in range(3):
+            world[n + p, x] = low[x] + spacing * sheet_points[p, x]
+    for p in range(len(share)):
+        shift = 0 if on_surface[p] else n
+        a, b = ends[p, 0] + shift, ends[p, 1] + shift
+        for x in range(3):
+            world[n + v + p, x] = world[a, x] + share[p] * (world[b, x] - world[a, x])
     return world
+
+
+@njit(cache=True, nogil=True)
+def _outer(faces, cells, crossed, corners, label, parent):
+    """Corners, source and cell of the faces that no crack crosses, and of the parts of the others."""
+    whole = np.ones(len(faces), np.bool_)
+    whole[crossed] = False
+    count = len(corners) + whole.sum()
+    out, source, cell = np.empty((count, 3), np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    made = 0
+    for f in range(len(faces)):
+        if whole[f]:
+            out[made, 0], out[made, 1], out[made, 2] = faces[f, 0], faces[f, 1], faces[f, 2]
+            source[made], cell[made] = f, cells[faces[f, 0]]
+            made += 1
+    out[made:], source[made:], cell[made:] = corners, parent, label
+    return out, source, cell
+
+
+@njit(cache=True, nogil=True)
+def _inner(triangles, sides, walls, crossed, corners, parent, shift):
+    """Corners of the sheets' triangles inside that the surface does not cross, by `shift` more, and of the parts of
+    the others; and the cells below and above them."""
+    whole = np.ones(len(triangles), np.bool_)
+    whole[crossed] = False
+    out, beside = (
+        np.empty((len(triangles) + len(corners), 3), np.int64),
+        np.empty((len(triangles) + len(corners), 2), np.int64),
+    )
+    made = 0
+    for t in range(len(triangles)):
+        if whole[t] and walls[triangles[t, 0]] == INSIDE:
+            for n in range(3):
+                out[made, n] = triangles[t, n] + shift
+            beside[made, 0], beside[made, 1] = sides[t, 0], sides[t, 1]
+            made += 1
+    for p in range(len(corners)):
+        out[made, 0], out[made, 1], out[made, 2] = corners[p, 0], corners[p, 1], corners[p, 2]
+        beside[made, 0], beside[made, 1] = sides[parent[p], 0], sides[parent[p], 1]
+        made += 1
+    return out[:made], beside[:made]
 
 
 def _fragment(piece: Solid, density: float) -> Fragment:

@@ -74,7 +74,7 @@ def crossed_triangles(
         segments: Between nodes.
         first, first_node: Rows of the first vertex and the first node in the table of positions.
     """
-    order = np.argsort(segments.triangle, kind="stable")
+    order = np.argsort(segments.triangle * len(segments.triangle) + np.arange(len(segments.triangle)))
     names, start = np.unique(segments.triangle[order], return_index=True)
     corners = triangles[names]
     rim_start, rim, beyond = _rims(

@@ -78,9 +78,19 @@ def crack_sheets(
     jitter = _jitter(seed, 1 << (len(points) + len(edges)).bit_length())
     points += jitter[: len(points)]
     turns = np.empty(len(edges), np.int8)
-    spread(lambda first, last: _turns(labels.shape, points, around, edges, turns, first, last), len(edges), least=8192)
-    points, triangles, sides, quads = _triangles(labels, points, around, edges, turns, jitter[len(points) :])
-    return Sheets(points, cubes, number, triangles, sides, quads, around)
+    spread(lambda first, last: _turns(labels.shape, points, around, edges, turns, first, last), len(edges), least=2048)
+    quads, middles = _starts(turns)
+    every = np.empty((len(points) + middles[-1], 3))
+    every[: len(points)] = points
+    triangles, sides = np.empty((quads[-1], 3), np.int64), np.empty((quads[-1], 2), np.int32)
+    spread(
+        lambda first, last: _triangles(
+            labels, points, around, edges, turns, jitter[len(points) :], quads, middles, len(points), every, triangles,
+            sides, first, last,
+        ),
+        len(edges), least=4096,
+    )  # fmt: skip
+    return Sheets(every, cubes, number, triangles, sides, quads, around)
 
 
 @lru_cache(maxsize=2)
@@ -200,7 +210,7 @@ def _relaxed(start: Floats, trusted: Floats, links: Labels, middle: Floats) -> F
     points, moved = start.copy(), np.empty_like(start)
     for _ in range(SMOOTHING_STEPS):
         spread(
-            partial(_relax, points, start, trusted, links, middle, moved), len(points), least=16384
+            partial(_relax, points, start, trusted, links, middle, moved), len(points), least=4096
         )  # fmt: skip
         points, moved = moved, points
     return points
@@ -255,44 +265,42 @@ def _turns(size, points, around, edges, turns, first, last):
 
 
 @njit(cache=True, nogil=True)
-def _triangles(labels, points, around, edges, turns, jitter):
-    """Two triangles across each grid edge, or four around a vertex on it: see `_turns`."""
+def _starts(turns):
+    """The first triangle of each grid edge, and their number; and how many edges before it have a vertex on them."""
+    quads, middles = np.zeros(len(turns) + 1, np.int64), np.zeros(len(turns) + 1, np.int64)
+    for n in range(len(turns)):
+        quads[n + 1] = quads[n] + (2 if turns[n] >= 0 else 4)
+        middles[n + 1] = middles[n] + (turns[n] < 0)
+    return quads, middles
+
+
+@njit(cache=True, nogil=True)
+def _triangles(
+    labels, points, around, edges, turns, jitter, quads, middles, count, every, triangles, sides, first, last
+):  # fmt: skip
+    """Two triangles across each of some grid edges, or four around a vertex on it: see `_turns`. `count`: of the
+    vertices in cubes."""
     flat, size = labels.reshape(-1), labels.shape
     strides = (size[1] * size[2], size[2], 1)
-    count = len(points)
-    every = np.empty((count + len(edges), 3))
-    every[:count] = points
-    triangles = np.empty((4 * len(edges), 3), np.int64)
-    sides = np.empty((4 * len(edges), 2), np.int32)
-    quads = np.empty(len(edges) + 1, np.int64)
-    made = 0
-    for n in range(len(edges)):
+    for n in range(first, last):
         v, axis = edges[n]
-        ring = around[n]
-        quads[n] = made
-        turn = turns[n]
+        ring, made, turn = around[n], quads[n], turns[n]
+        for t in range(made, quads[n + 1]):
+            sides[t, 0], sides[t, 1] = flat[v], flat[v + strides[axis]]
         if turn >= 0:
             for half in range(2):
-                triangles[made, 0] = ring[turn + 2 * half]
-                triangles[made, 1] = ring[(turn + 2 * half + 1) % 4]
-                triangles[made, 2] = ring[(turn + 2 * half + 2) % 4]
-                sides[made, 0], sides[made, 1] = flat[v], flat[v + strides[axis]]
-                made += 1
+                for c in range(3):
+                    triangles[made + half, c] = ring[(turn + 2 * half + c) % 4]
             continue
+        middle = count + middles[n]
         corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
         height = 0.0
         for c in range(4):
             height += 0.25 * (points[ring[c], axis] - corner[axis])
+            triangles[made + c, 0], triangles[made + c, 1], triangles[made + c, 2] = middle, ring[c], ring[(c + 1) % 4]
         for x in range(3):
-            every[count, x] = corner[x] + jitter[n, x]
-        every[count, axis] += min(max(height, EDGE), 1 - EDGE)
-        for c in range(4):
-            triangles[made, 0], triangles[made, 1], triangles[made, 2] = count, ring[c], ring[(c + 1) % 4]
-            sides[made, 0], sides[made, 1] = flat[v], flat[v + strides[axis]]
-            made += 1
-        count += 1
-    quads[len(edges)] = made
-    return every[:count].copy(), triangles[:made].copy(), sides[:made].copy(), quads
+            every[middle, x] = corner[x] + jitter[n, x]
+        every[middle, axis] += min(max(height, EDGE), 1 - EDGE)
 
 
 @njit(cache=True, inline="always")

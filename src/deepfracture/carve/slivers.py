@@ -6,9 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import over, pierces
 from deepfracture.carve.solids import Faces
+from deepfracture.threads import spread, together
+from deepfracture.types import Floats, Ints
+
+Flags = NDArray[np.bool_]
 
 PASSES = 3
 """Rounds of collapses: in one, no two that have a face in common."""
@@ -34,16 +39,16 @@ def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_fro
     changed, sheets, news = False, (originals, nodes_from), np.ones(len(faces.positions), np.bool_)
     for _ in range(PASSES):
         short = _short_edges(faces.positions, corners, shortest, nodes_from, news)
-        if not len(short) or not _collapse(faces.positions, corners, sides, source, short, shortest, sheets, news):
+        if not len(short) or not _collapsed(faces.positions, corners, sides, source, short, shortest, sheets, news):
             break
         changed = True
     if not changed:
         return faces
-    outer, of = _put_back(faces.outer, of_outer, corners[: len(of_outer)])
-    inner, below = _put_back(faces.inner, of_inner, corners[len(of_outer) :])
-    return replace(
-        faces, outer=outer, source=faces.source[of], cell=faces.cell[of], inner=inner, sides=faces.sides[below]
+    (outer, beside), (inner, sides) = together(
+        lambda: _put_back(faces.outer, (faces.source, faces.cell), of_outer, corners[: len(of_outer)]),
+        lambda: _put_back(faces.inner, (faces.sides[:, 0], faces.sides[:, 1]), of_inner, corners[len(of_outer) :]),
     )
+    return replace(faces, outer=outer, source=beside[:, 0], cell=beside[:, 1], inner=inner, sides=sides)
 
 
 @njit(cache=True)
@@ -62,10 +67,10 @@ def _gathered(outer, source, cell, of_outer, inner, sides, of_inner):
     return corners, beside, lies_in
 
 
-@njit(cache=True)
-def _put_back(faces, of, corners):
-    """All faces with some of them changed, without those that are gone; and which of the old ones each is."""
-    left, rows = np.empty_like(faces), np.empty(len(faces), np.int64)
+@njit(cache=True, nogil=True)
+def _put_back(faces, columns, of, corners):
+    """All faces with some of them changed, without those that are gone; and what the two columns say of each."""
+    left, beside = np.empty_like(faces), np.empty((len(faces), 2), np.int64)
     count, at = 0, 0
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -73,9 +78,10 @@ def _put_back(faces, of, corners):
             a, b, c = corners[at, 0], corners[at, 1], corners[at, 2]
             at += 1
         if a >= 0:
-            left[count, 0], left[count, 1], left[count, 2], rows[count] = a, b, c, f
+            left[count, 0], left[count, 1], left[count, 2] = a, b, c
+            beside[count, 0], beside[count, 1] = columns[0][f], columns[1][f]
             count += 1
-    return left[:count], rows[:count]
+    return left[:count], beside[:count]
 
 
 @njit(cache=True)
@@ -100,14 +106,24 @@ def _marked(faces, marked):
     return found[:used].copy()
 
 
-@njit(cache=True)
-def _short_edges(positions, corners, shortest, nodes_from, news):
+def _short_edges(positions: Floats, corners: Ints, shortest: float, nodes_from: int, news: Flags) -> Ints:
     """Edges at a node below the length, the shortest first, the lower point first, shape (s, 2).
 
     Only those at points of `news`: what could not go keeps its reasons until a face around it changes."""
+    found = spread(
+        lambda first, last: _short(positions, corners, shortest, nodes_from, news, first, last),
+        len(corners), least=4096,
+    )  # fmt: skip
+    edges, lengths = (np.concatenate(column) for column in zip(*found, strict=True))
+    return edges[np.argsort(lengths, kind="stable")]
+
+
+@njit(cache=True, nogil=True)
+def _short(positions, corners, shortest, nodes_from, news, from_face, to_face):
+    """Short edges of some faces, and the squares of their lengths."""
     found, lengths = np.empty((16, 2), np.int64), np.empty(16)
     count = 0
-    for f in range(len(corners)):
+    for f in range(from_face, to_face):
         for n in range(3):
             a, b = corners[f, n], corners[f, (n + 1) % 3]
             if a > b or a < 0 or b < nodes_from or not (news[a] or news[b]):
@@ -121,37 +137,75 @@ def _short_edges(positions, corners, shortest, nodes_from, news):
                 found, lengths = np.concatenate((found, found)), np.concatenate((lengths, lengths))
             found[count, 0], found[count, 1], lengths[count] = a, b, square
             count += 1
-    return found[:count][np.argsort(lengths[:count], kind="mergesort")]
+    return found[:count].copy(), lengths[:count].copy()
 
 
-@njit(cache=True)
-def _collapse(positions, corners, sides, source, short, shortest, sheets, news):
+def _collapsed(
+    positions: Floats, corners: Ints, sides: Ints, source: Ints, short: Ints, shortest: float,
+    sheets: tuple[int, int], news: Flags,
+) -> int:  # fmt: skip
     """Collapse what can go; rows of `corners` that are gone become -1. Returns how many edges went.
 
     `sheets`: the first of the points that belong to sheets alone, and one past the last. `news` is written anew: the
     points with a face one of whose points has had a face changed."""
     slot, start, around = _faces_around(len(positions), corners, short)
+    choice = np.empty(len(short), np.int8)
+    spread(
+        lambda first, last: _choose(
+            positions, corners, sides, source, short, shortest, sheets, slot, start, around, choice, first, last
+        ),
+        len(short), least=64,
+    )  # fmt: skip
+    return _collapse(positions, corners, sides, source, short, shortest, sheets, slot, start, around, choice, news)
+
+
+@njit(cache=True, nogil=True)
+def _choose(
+    positions, corners, sides, source, short, shortest, sheets, slot, start, around, choice, first, last
+):  # fmt: skip
+    """`_choice` for some edges, as long as nothing has changed."""
+    seen = np.zeros(len(corners) + 1, np.int64)
+    for e in range(first, last):
+        a, b = short[e]
+        choice[e] = _choice(positions, corners, sides, source, a, b, shortest, sheets, slot, start, around, seen)
+
+
+@njit(cache=True)
+def _choice(positions, corners, sides, source, a, b, shortest, sheets, slot, start, around, seen):
+    """How the edge a b may go: 1, b goes to a; 2, a goes to b; 0, it may not.
+
+    The higher point goes to the lower, as those of the original come first, or else the lower to the higher."""
+    own, other = around[start[slot[a]] : start[slot[a] + 1]], around[start[slot[b]] : start[slot[b] + 1]]
+    if max(len(own), len(other)) > MANY:
+        return 0
+    down = _may_move(positions, corners, source, other, own, b, a, shortest)
+    up = a >= sheets[0] and _may_move(positions, corners, source, own, other, a, b, shortest)
+    if not (down or up) or not _is_whole(corners, sides, own, other, a, b):
+        return 0
+    if down and not _crosses(positions, corners, source, other, b, a, slot, start, around, seen, sheets):
+        return 1
+    if up and not _crosses(positions, corners, source, own, a, b, slot, start, around, seen, sheets):
+        return 2
+    return 0
+
+
+@njit(cache=True)
+def _collapse(positions, corners, sides, source, short, shortest, sheets, slot, start, around, choice, news):
+    """See `_collapsed`. What was chosen counts as long as no face at a point of a face at the edge has changed."""
     busy, seen = np.zeros(len(corners), np.bool_), np.zeros(len(corners) + 1, np.int64)
     touched = np.zeros(len(positions), np.bool_)
     gone = 0
     for e in range(len(short)):
         a, b = short[e]
-        own = around[start[slot[a]] : start[slot[a] + 1]]
-        other = around[start[slot[b]] : start[slot[b] + 1]]
-        if max(len(own), len(other)) > MANY or _any(busy, own) or _any(busy, other):
+        own, other = around[start[slot[a]] : start[slot[a] + 1]], around[start[slot[b]] : start[slot[b] + 1]]
+        if _any(busy, own) or _any(busy, other):
             continue
-        # The higher point goes to the lower, as those of the original come first, or the lower to the higher.
-        down = _may_move(positions, corners, source, other, own, b, a, shortest)
-        up = a >= sheets[0] and _may_move(positions, corners, source, own, other, a, b, shortest)
-        if not (down or up) or not _is_whole(corners, sides, own, other, a, b):
+        way = choice[e]
+        if _touches(corners, own, touched) or _touches(corners, other, touched):
+            way = _choice(positions, corners, sides, source, a, b, shortest, sheets, slot, start, around, seen)
+        if way == 0:
             continue
-        stays, goes, faces = a, b, other
-        fine = down and not _crosses(positions, corners, source, other, b, a, slot, start, around, seen, sheets)
-        if not fine and up:
-            stays, goes, faces = b, a, own
-            fine = not _crosses(positions, corners, source, own, a, b, slot, start, around, seen, sheets)
-        if not fine:
-            continue
+        stays, goes, faces = (a, b, other) if way == 1 else (b, a, own)
         for f in own:
             busy[f] = True
         for f in other:
@@ -173,6 +227,15 @@ def _collapse(positions, corners, sides, source, short, shortest, sheets, news):
         if a >= 0 and (touched[a] or touched[b] or touched[c]):
             news[a] = news[b] = news[c] = True
     return gone
+
+
+@njit(cache=True, inline="always")
+def _touches(corners, faces, touched):
+    """Whether a corner of some faces is marked."""
+    found = False
+    for f in faces:
+        found = found or touched[corners[f, 0]] or touched[corners[f, 1]] or touched[corners[f, 2]]
+    return found
 
 
 @njit(cache=True, inline="always")

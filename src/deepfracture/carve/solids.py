@@ -66,7 +66,7 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
     outer, inner = len(faces.outer), len(faces.inner)
     twin = _twins(corners, cell, outer, inner, len(faces.positions))
-    shell, first = _shells(twin, len(corners))
+    shell, first = _shells(twin, cell)
     into = _solids_of_shells(faces.positions, corners, cell, shell, first, outer, inner, smallest)
     names = np.unique(into[into >= 0])
     names = names[np.lexsort([names, cell[first[names]]])]
@@ -209,7 +209,7 @@ def _twins(corners: NDArray, cell: NDArray, outer: int, inner: int, count: int) 
     twin = np.full(3 * len(corners), -1, np.int32)
     fine = spread(
         lambda first, last: _paired(corners, cell, outer, inner, start, bucket, far, twin, first, last),
-        count, least=16384,
+        count, least=8192,
     )  # fmt: skip
     if not all(fine):
         raise NotGeneral
@@ -279,18 +279,33 @@ def _behind(edge, outer, inner):
     return 3 * mate + 2 - edge % 3 if mate >= 0 else -1
 
 
-@njit(cache=True, nogil=True)
-def _shells(twin, count):
+def _shells(twin: NDArray, cell: NDArray) -> tuple[NDArray, Ints]:
     """Number 0.. of the connected surface that each face belongs to, and the first face of each."""
-    parent = np.arange(count).astype(np.int32)
-    for e in range(len(twin)):
-        if twin[e] > e:
-            a, b = root(parent, e // 3), root(parent, twin[e] // 3)
-            if a != b:
-                parent[max(a, b)] = min(a, b)
-    number, first = np.empty(count, np.int32), np.empty(count, np.int64)
+    parent = np.arange(len(cell), dtype=np.int32)
+    # Surfaces of different cells have nothing to do with each other.
+    spread(lambda first, last: _join(parent, twin, cell, first, last), int(cell.max(initial=0)) + 1, least=2)
+    return _shell_numbers(parent)
+
+
+@njit(cache=True, nogil=True)
+def _join(parent, twin, cell, first, last):
+    """Join the faces of some cells across their edges, the lowest face of each surface being its root."""
+    for f in range(len(cell)):
+        if not first <= cell[f] < last:
+            continue
+        for n in range(3):
+            other = twin[3 * f + n] // 3
+            if other > f:
+                a, b = root(parent, f), root(parent, other)
+                if a != b:
+                    parent[max(a, b)] = min(a, b)
+
+
+@njit(cache=True, nogil=True)
+def _shell_numbers(parent):
+    number, first = np.empty(len(parent), np.int32), np.empty(len(parent), np.int64)
     shells = 0
-    for f in range(count):
+    for f in range(len(parent)):
         head = root(parent, f)
         if head == f:
             number[f], first[shells] = shells, f
@@ -311,7 +326,10 @@ def _solids_of_shells(
     smallest: float,
 ) -> Ints:
     """The shell whose solid each shell belongs to in the end, -1 for flat debris."""
-    volumes = _volumes(positions, corners, shell, len(first))
+    volumes = np.zeros(len(first))
+    spread(
+        lambda one, end: _add_volumes(positions, corners, shell, first, volumes, one, end), len(first), least=2
+    )  # fmt: skip
     flat = FLAT * np.abs(volumes).sum()
     into = np.arange(len(volumes))
     for void in np.flatnonzero(volumes < -flat).tolist():
@@ -350,18 +368,19 @@ def _touching(positions, corners, into, shell, small, outer, inner):
 
 
 @njit(cache=True, nogil=True)
-def _volumes(positions, corners, shell, count):
-    """Signed volume of each shell, by tetrahedra from a vertex of it."""
-    volumes, pivot = np.zeros(count), np.full(count, -1, np.int64)
+def _add_volumes(positions, corners, shell, first, volumes, from_shell, to_shell):
+    """Signed volume of some shells, by tetrahedra from a vertex of each."""
     for f in range(len(corners)):
         n = shell[f]
-        if pivot[n] < 0:
-            pivot[n] = corners[f, 0]
-        p, a, b, c = positions[pivot[n]], positions[corners[f, 0]], positions[corners[f, 1]], positions[corners[f, 2]]
+        if not from_shell <= n < to_shell:
+            continue
+        p, a, b, c = (
+            positions[corners[first[n], 0]], positions[corners[f, 0]], positions[corners[f, 1]],
+            positions[corners[f, 2]],
+        )  # fmt: skip
         ax, ay, az, bx, by, bz = a[0] - p[0], a[1] - p[1], a[2] - p[2], b[0] - p[0], b[1] - p[1], b[2] - p[2]
         cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
-        volumes[n] += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    return volumes / 6
+        volumes[n] += (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)) / 6
 
 
 def _holder(positions: Floats, corners: NDArray, shell: NDArray, void: int, around: Ints) -> int:
