@@ -9,9 +9,12 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 T = TypeVar("T")
+S = TypeVar("S")
 
 PARTS = 3
 """Parts for each thread: who is done early, or is not held up by other programs, takes more of them."""
@@ -20,6 +23,9 @@ ONE_THREAD: Mapping[str, str] = dict.fromkeys(
     ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
 """What a process reads when it starts."""
+
+LINGER = 2_000_000
+"""Turns of a loop, about a millisecond, for which a thread stays awake to wait for another."""
 
 _busy = threading.local()
 _starting = threading.Lock()
@@ -60,11 +66,12 @@ def spread(job: Callable[[int, int], T], count: int, *, least: int) -> list[T]:
     return _shared([_part(job, count * n // parts, count * (n + 1) // parts) for n in range(parts)], threads)
 
 
-def together(one: Callable[[], T], other: Callable[[], T]) -> tuple[T, T]:
+def together(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:
     """The results of two jobs, done side by side."""
     if thread_count() < 2 or getattr(_busy, "here", False):
         return one(), other()
-    first, second = _shared([one, other], 2)
+    jobs: list[Callable[[], Any]] = [one, other]
+    first, second = _shared(jobs, 2)
     return first, second
 
 
@@ -73,30 +80,92 @@ def _part(job: Callable[[int, int], T], first: int, last: int) -> Callable[[], T
 
 
 def _shared(jobs: list[Callable[[], T]], threads: int) -> list[T]:
-    done: list = [None] * len(jobs)
-    turn = itertools.count()
-
-    def work() -> None:
-        _busy.here = True
+    work = _Work(jobs)
+    lingering = _lingering(os.getpid())
+    for _ in range(threads - 1):
         try:
-            while (n := next(turn)) < len(jobs):
-                done[n] = jobs[n]()
-        finally:
-            _busy.here = False
+            helper = lingering.pop()
+        except IndexError:
+            _pool(os.getpid(), threads).submit(_help, work)
+        else:
+            helper.work = work
+            helper.called[0] = 1
+    work.share()
+    work.wait()
+    if work.failure is not None:
+        raise work.failure
+    return work.done
 
-    helpers = [_pool(os.getpid(), threads).submit(work) for _ in range(threads - 1)]
-    try:
-        work()
-    finally:
-        # A helper that has not come to start is not waited for: its parts are done.
-        failures = [helper.exception() for helper in helpers if not helper.cancel()]
-    for failure in failures:
-        if failure is not None:
-            raise failure
-    return done
+
+class _Work:
+    """Jobs, and what has come of them. A helper that has not come to start is not waited for."""
+
+    def __init__(self, jobs: list[Callable[[], Any]]) -> None:
+        self.jobs = jobs
+        self.done: list[Any] = [None] * len(jobs)
+        self.failure: BaseException | None = None
+        self._left = np.ones(len(jobs), np.int64)
+        self._turn = itertools.count()
+        self._ended = threading.Event()
+
+    def share(self) -> None:
+        """Do jobs until none is left that nobody does. After a failure the others are dropped."""
+        _busy.here = True
+        while (n := next(self._turn)) < len(self.jobs):
+            try:
+                if self.failure is None:
+                    self.done[n] = self.jobs[n]()
+            except BaseException as problem:  # told by the thread that waits for the jobs
+                self.failure = problem
+            self._left[n] = 0
+        _busy.here = False
+        if not self._left.any():
+            self._ended.set()
+
+    def wait(self) -> None:
+        """Until the jobs that others do are done."""
+        from deepfracture.awake import all_zero
+
+        if not all_zero(self._left, LINGER):
+            self._ended.wait()
+
+
+class _Helper:
+    """A thread that has helped and stays awake for a moment, as more to do often comes soon."""
+
+    def __init__(self) -> None:
+        self.called = np.zeros(1, np.int64)
+        self.work: _Work | None = None
+
+
+def _help(work: _Work) -> None:
+    """What a thread of the pool does."""
+    from deepfracture.awake import becomes
+
+    me, lingering = _Helper(), _lingering(os.getpid())
+    while True:
+        work.share()
+        me.called[0] = 0
+        lingering.append(me)
+        if not becomes(me.called, 1, LINGER):
+            try:
+                lingering.remove(me)
+            except ValueError:  # just taken from there: the call comes at once
+                while not becomes(me.called, 1, LINGER):
+                    pass
+            else:
+                return
+        assert me.work is not None
+        work = me.work
 
 
 @cache
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     """The threads of a process; a fork has none of its parent's."""
     return ThreadPoolExecutor(threads, thread_name_prefix="deepfracture")
+
+
+@cache
+def _lingering(process: int) -> list[_Helper]:
+    """Helpers of a process that are awake and have nothing to do."""
+    return []

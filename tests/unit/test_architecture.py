@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parents[2] / "src" / "deepfracture"
-SHARED = {"types", "progress", "memory", "extras", "words", "threads", "files", "lock"}
+SHARED = {"types", "progress", "memory", "extras", "words", "threads", "awake", "files", "lock"}
 ARROWS = {
     "geometry": set(),
     "fracture": {"geometry"},

@@ -61,19 +61,18 @@ def crack_sheets(
     """
     number = np.zeros(labels.size, np.int32)
     around, cubes = _cubes(labels.shape, edges, number)
-    base = np.stack(np.unravel_index(cubes, labels.shape), axis=1)
-    middle = base + 0.5
-    points, trusted, kind = np.empty((len(base), 3)), np.empty(len(base)), np.empty(len(base), np.int32)
+    base, start = np.empty((len(cubes), 3), np.int64), np.zeros((len(cubes) + 1, 3))
+    trusted, kind = np.empty(len(base)), np.empty(len(base), np.int32)
     spread(
         lambda first, last: _place(
-            labels, pattern.labels, pattern.distance, low, base, points, trusted, kind, first, last
+            labels, pattern.labels, pattern.distance, low, cubes, base, start, trusted, kind, first, last
         ),
         len(base), least=2048,
     )  # fmt: skip
-    links = _linked(labels, around, edges, base, kind)
-    points = _relaxed(np.clip(points, middle - REACH, middle + REACH), trusted, links, middle)
+    points = _relaxed(start, trusted, _linked(labels, around, edges, base, kind))
     if grain > 0:
         rng = np.random.default_rng([seed, 1])
+        middle = base + 0.5
         points = np.clip(points + rng.uniform(-grain, grain, points.shape), middle - REACH, middle + REACH)
     jitter = _jitter(seed, 1 << (len(points) + len(edges)).bit_length())
     points += jitter[: len(points)]
@@ -123,11 +122,14 @@ def _cubes(shape, edges, number):
 
 
 @njit(cache=True, nogil=True)
-def _place(labels, source, distance, low, base, points, trusted, kind, first, last):
-    """Mean crossing of some cubes' edges, share of the edges whose crossing is known, number of cells."""
+def _place(labels, source, distance, low, cubes, base, points, trusted, kind, first, last):
+    """First corner of some cubes, mean crossing of their edges at most `REACH` from their middle, share of the edges
+    whose crossing is known, number of cells."""
+    s0, s1 = labels.shape[1] * labels.shape[2], labels.shape[2]
     near, gap, seen = np.empty(8, np.int32), np.empty(8), np.empty(8, np.int32)
     r = distance.shape[0]
     for v in range(first, last):
+        base[v, 0], base[v, 1], base[v, 2] = cubes[v] // s0, cubes[v] % s0 // s1, cubes[v] % s1
         for n in range(8):
             i, j, k = base[v, 0] + (n >> 2), base[v, 1] + (n >> 1 & 1), base[v, 2] + (n & 1)
             near[n] = labels[i, j, k]
@@ -154,22 +156,23 @@ def _place(labels, source, distance, low, base, points, trusted, kind, first, la
                     x += at if bit == 2 else n >> 2
                     y += at if bit == 1 else n >> 1 & 1
                     z += at if bit == 0 else n & 1
-        points[v, 0] = base[v, 0] + (x / crossings if crossings else 0.5)
-        points[v, 1] = base[v, 1] + (y / crossings if crossings else 0.5)
-        points[v, 2] = base[v, 2] + (z / crossings if crossings else 0.5)
+        for a in range(3):
+            mean = (x if a == 0 else y if a == 1 else z) / crossings if crossings else 0.5
+            place, middle = base[v, a] + mean, base[v, a] + 0.5
+            points[v, a] = min(max(place, middle - REACH), middle + REACH)
         trusted[v] = crossings / cracks if cracks else 0.0
         kind[v] = cells
 
 
 def _linked(labels: Labels, around: Ints, edges: Ints, base: Ints, kind: Labels) -> Labels:
-    """The neighbours each vertex relaxes towards, -1 for none, shape (u, 6).
+    """The neighbours each vertex relaxes towards, the number of vertices u for none, shape (u, 6).
 
     Only along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a junction
     line (3) needs. Points where more meet get none, nor do ends of a junction line."""
-    links = np.full((len(base), 6), -1, np.int32)
+    links = np.full((len(base), 6), len(base), np.int32)
     spread(lambda first, last: _links(labels, around, edges, base, kind, links, first, last), len(edges), least=4096)
     junction = np.flatnonzero(kind == 3)
-    links[junction[(links[junction] >= 0).sum(axis=1) < 2]] = -1
+    links[junction[(links[junction] < len(base)).sum(axis=1) < 2]] = len(base)
     return links
 
 
@@ -206,38 +209,38 @@ def _cells_on_face(flat, a, p, q):
     return count
 
 
-def _relaxed(start: Floats, trusted: Floats, links: Labels, middle: Floats) -> Floats:
-    points, moved = start.copy(), np.empty_like(start)
+def _relaxed(start: Floats, trusted: Floats, links: Labels) -> Floats:
+    """The vertices after `SMOOTHING_STEPS`; the last row of `start`, which stands for no neighbour, is zero."""
+    points, moved = start.copy(), start.copy()
     for _ in range(SMOOTHING_STEPS):
-        spread(
-            partial(_relax, points, start, trusted, links, middle, moved), len(points), least=4096
-        )  # fmt: skip
+        spread(partial(_relax, points, start, trusted, links, moved), len(links), least=4096)
         points, moved = moved, points
-    return points
+    return points[:-1]
 
 
 @njit(cache=True, nogil=True)
-def _relax(points, start, trusted, links, middle, moved, first, last):
-    """One step of some vertices towards their neighbours' mean and their own start, into `moved`."""
+def _relax(points, start, trusted, links, moved, first, last):
+    """One step of some vertices towards their neighbours' mean and their own start, into `moved`.
+
+    Absent neighbours add a zero: quicker than to ask which are absent."""
+    none = len(links)
     for v in range(first, last):
         count = 0
         x, y, z = 0.0, 0.0, 0.0
         for n in range(6):
             u = links[v, n]
-            if u >= 0:
-                x += points[u, 0]
-                y += points[u, 1]
-                z += points[u, 2]
-                count += 1
+            x += points[u, 0]
+            y += points[u, 1]
+            z += points[u, 2]
+            count += u < none
         if count == 0:
-            moved[v] = points[v]
-            continue
+            continue  # stays where it started, in both arrays
         pull = TRUST * trusted[v]
         for a in range(3):
             mean = (x if a == 0 else y if a == 1 else z) / count
             goal = pull * start[v, a] + (1 - pull) * mean
-            goal = 0.5 * (points[v, a] + goal)
-            moved[v, a] = min(max(goal, middle[v, a] - REACH), middle[v, a] + REACH)
+            goal, middle = 0.5 * (points[v, a] + goal), np.floor(start[v, a]) + 0.5
+            moved[v, a] = min(max(goal, middle - REACH), middle + REACH)
 
 
 @njit(cache=True, nogil=True)

@@ -18,10 +18,6 @@ FLAT = 1e-13
 """Share of the body's volume below which a shell is flat: nothing but rounding."""
 
 
-CROWD = 48
-"""Edges at a vertex above which they are sorted to find those that belong together."""
-
-
 @dataclass(frozen=True, eq=False)
 class Solid:
     """One connected solid with a closed 2-manifold surface; voids inside it are shells of their own."""
@@ -65,9 +61,8 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     """The solids, and the edges, as points, that join the same two vertices of a solid twice, shape (d, 2)."""
     corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
     outer, inner = len(faces.outer), len(faces.inner)
-    twin = _twins(corners, cell, outer, inner, len(faces.positions))
-    shell, first = _shells(twin, cell)
-    into = _solids_of_shells(faces.positions, corners, cell, shell, first, outer, inner, smallest)
+    twin, shell, first, volumes = _surfaces(faces.positions, corners, cell)
+    into = _solids_of_shells(faces.positions, corners, cell, shell, first, volumes, outer, inner, smallest)
     names = np.unique(into[into >= 0])
     names = names[np.lexsort([names, cell[first[names]]])]
     number = np.full(len(into) + 1, -1)
@@ -200,119 +195,107 @@ def _sorted(solid, goes, count):
     return order, start
 
 
-def _twins(corners: NDArray, cell: NDArray, outer: int, inner: int, count: int) -> NDArray:
-    """For the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
-    surface. Raises NotGeneral if some edge has none or several.
+def _surfaces(positions: Floats, corners: NDArray, cell: NDArray) -> tuple[NDArray, NDArray, Ints, Floats]:
+    """The surfaces of all cells, which are closed.
 
-    Edges are sorted by their lower point. Both sides of a crack's face have the same edges: one is enough."""
-    start, bucket, far = _sorted_edges(corners, outer + inner, count)
-    twin = np.full(3 * len(corners), -1, np.int32)
-    fine = spread(
-        lambda first, last: _paired(corners, cell, outer, inner, start, bucket, far, twin, first, last),
-        count, least=8192,
+    Returns for the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
+    surface; the number 0.. of the shell that each face belongs to; the first face of each shell; and its signed
+    volume [m^3]. Raises NotGeneral if some edge has none that runs back, or several."""
+    cells = int(cell.max(initial=0)) + 1
+    order, start = _sorted(cell, np.zeros(len(cell), np.bool_), cells)
+    twin, shell = np.empty(3 * len(cell), np.int32), np.empty(len(cell), np.int32)
+    found = spread(
+        lambda one, end: _closed(positions, corners, order, start, twin, shell, one, end), cells, least=1
     )  # fmt: skip
-    if not all(fine):
+    if not all(fine for fine, *_ in found):
         raise NotGeneral
-    return twin
+    shells, first, volumes = (np.concatenate([part[n] for part in found]) for n in (1, 2, 3))
+    _shift(shell, cell, np.cumsum(shells) - shells)
+    return twin, shell, first, volumes
 
 
 @njit(cache=True, nogil=True)
-def _sorted_edges(corners, faces, count):
-    """Where the edges at each lower point start, and they and their higher points."""
-    start = np.zeros(count + 1, np.int32)
-    for f in range(faces):
-        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
-        start[min(a, b) + 1] += 1
-        start[min(b, c) + 1] += 1
-        start[min(c, a) + 1] += 1
-    for v in range(count):
-        start[v + 1] += start[v]
-    place = start[:-1].copy()
-    bucket, far = np.empty(3 * faces, np.int32), np.empty(3 * faces, np.int32)
-    for f in range(faces):
+def _shift(shell, cell, by):
+    for f in range(len(shell)):
+        shell[f] += by[cell[f]]
+
+
+@njit(cache=True, nogil=True)
+def _closed(positions, corners, order, start, twin, shell, from_cell, to_cell):
+    """Whether the surfaces of some cells are closed; the number of shells of each; the first face and the signed volume
+    of each shell. Writes `twin`, and `shell` from 0 in each cell. Edges meet in a table with open addresses."""
+    largest = 0
+    for c in range(from_cell, to_cell):
+        largest = max(largest, start[c + 1] - start[c])
+    room = 16
+    while room < 4 * largest:
+        room *= 2
+    parent, keys, edges = np.empty(largest, np.int32), np.empty(room, np.int64), np.empty((room, 2), np.int32)
+    shells = np.zeros(to_cell - from_cell, np.int64)
+    first, volumes = np.empty(start[to_cell] - start[from_cell], np.int64), np.zeros(start[to_cell] - start[from_cell])
+    made = 0
+    for c in range(from_cell, to_cell):
+        own = order[start[c] : start[c + 1]]
+        if not _paired(corners, own, twin, parent, keys, edges, len(positions)):
+            return False, shells, first[:0], volumes[:0]
+        begin = made
+        for i in range(len(own)):
+            f, head = own[i], root(parent, i)
+            if head == i:
+                shell[f], first[made] = made - begin, f
+                made += 1
+            else:
+                shell[f] = shell[own[head]]
+            n = begin + shell[f]
+            volumes[n] += _six_volumes(positions, corners[first[n], 0], corners[f, 0], corners[f, 1], corners[f, 2])
+        shells[c - from_cell] = made - begin
+    return True, shells, first[:made].copy(), volumes[:made] / 6
+
+
+@njit(cache=True, nogil=True)
+def _paired(corners, own, twin, parent, keys, edges, count):
+    """Whether each edge of a cell's faces has exactly one that runs back: its twin, whose face joins its own.
+
+    In the table an edge (`keys`) has the number of the first that ran along it, ~number if from the higher point, and
+    the place of its face in `own`, -1 once its twin has come (`edges`)."""
+    room = 16
+    while room < 4 * len(own):
+        room *= 2
+    keys[:room] = -1
+    lonely = 0
+    for i in range(len(own)):
+        parent[i] = i
+        a, b, c = corners[own[i], 0], corners[own[i], 1], corners[own[i], 2]
         for n in range(3):
-            a, b = corners[f, n], corners[f, n + 1 if n < 2 else 0]
-            low = min(a, b)
-            bucket[place[low]], far[place[low]] = 3 * f + n, max(a, b)
-            place[low] += 1
-    return start, bucket, far
-
-
-@njit(cache=True, nogil=True)
-def _paired(corners, cell, outer, inner, start, bucket, far, twin, from_point, to_point):
-    """Twins among the edges at some lower points; False if some edge has none or several."""
-    for v in range(from_point, to_point):
-        first, last = start[v], start[v + 1]
-        crowded = last - first > CROWD
-        if crowded:
-            order = np.argsort(far[first:last])
-            bucket[first:last], far[first:last] = bucket[first:last][order], far[first:last][order]
-        for e in range(first, last):
-            for back in range(2):
-                own = bucket[e] if back == 0 else _behind(bucket[e], outer, inner)
-                if own < 0 or twin[own] >= 0:
-                    continue
-                forth, found = corners[own // 3, own % 3] == v, 0
-                for o in range(e + 1, last):
-                    if far[o] != far[e]:
-                        if crowded:
-                            break
-                        continue
-                    other = bucket[o]
-                    if cell[other // 3] != cell[own // 3]:
-                        other = _behind(other, outer, inner)
-                        if other < 0 or cell[other // 3] != cell[own // 3]:
-                            continue
-                    found += 1
-                    if forth == (corners[other // 3, other % 3] == v):
-                        found = 2
-                    twin[own], twin[other] = other, own
-                if found != 1:
+            low, high = min(a, b), max(a, b)
+            edge, key = np.int32(3 * own[i] + n), np.int64(low) * count + high
+            at = (low * 0x9E3779B97F4A7C1 + high * 0x2545F4914F6CDD1) >> 20 & (room - 1)
+            while keys[at] >= 0 and keys[at] != key:
+                at = (at + 1) & (room - 1)
+            if keys[at] < 0:
+                keys[at], edges[at, 0], edges[at, 1] = key, edge if a < b else ~edge, i
+                lonely += 1
+            else:
+                other = edges[at, 0] if a > b else ~edges[at, 0]
+                if other < 0 or edges[at, 1] < 0:
                     return False
-    return True
+                twin[edge], twin[other] = other, edge
+                one, two = root(parent, i), root(parent, edges[at, 1])
+                if one != two:
+                    parent[max(one, two)] = min(one, two)
+                edges[at, 1] = -1
+                lonely -= 1
+            a, b, c = b, c, a
+    return lonely == 0
 
 
 @njit(cache=True, inline="always")
-def _behind(edge, outer, inner):
-    """The same edge of the other side of a crack's face, -1 for an outer one."""
-    mate = _mate(edge // 3, outer, inner)
-    return 3 * mate + 2 - edge % 3 if mate >= 0 else -1
-
-
-def _shells(twin: NDArray, cell: NDArray) -> tuple[NDArray, Ints]:
-    """Number 0.. of the connected surface that each face belongs to, and the first face of each."""
-    parent = np.arange(len(cell), dtype=np.int32)
-    # Surfaces of different cells have nothing to do with each other.
-    spread(lambda first, last: _join(parent, twin, cell, first, last), int(cell.max(initial=0)) + 1, least=2)
-    return _shell_numbers(parent)
-
-
-@njit(cache=True, nogil=True)
-def _join(parent, twin, cell, first, last):
-    """Join the faces of some cells across their edges, the lowest face of each surface being its root."""
-    for f in range(len(cell)):
-        if not first <= cell[f] < last:
-            continue
-        for n in range(3):
-            other = twin[3 * f + n] // 3
-            if other > f:
-                a, b = root(parent, f), root(parent, other)
-                if a != b:
-                    parent[max(a, b)] = min(a, b)
-
-
-@njit(cache=True, nogil=True)
-def _shell_numbers(parent):
-    number, first = np.empty(len(parent), np.int32), np.empty(len(parent), np.int64)
-    shells = 0
-    for f in range(len(parent)):
-        head = root(parent, f)
-        if head == f:
-            number[f], first[shells] = shells, f
-            shells += 1
-        else:
-            number[f] = number[head]
-    return number, first[:shells].copy()
+def _six_volumes(positions, pivot, one, two, three):
+    """Six times the signed volume of a tetrahedron."""
+    p, a, b, c = positions[pivot], positions[one], positions[two], positions[three]
+    ax, ay, az, bx, by, bz = a[0] - p[0], a[1] - p[1], a[2] - p[2], b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
+    return ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
 
 
 def _solids_of_shells(
@@ -321,15 +304,12 @@ def _solids_of_shells(
     cell: NDArray,
     shell: NDArray,
     first: Ints,
+    volumes: Floats,
     outer: int,
     inner: int,
     smallest: float,
 ) -> Ints:
     """The shell whose solid each shell belongs to in the end, -1 for flat debris."""
-    volumes = np.zeros(len(first))
-    spread(
-        lambda one, end: _add_volumes(positions, corners, shell, first, volumes, one, end), len(first), least=2
-    )  # fmt: skip
     flat = FLAT * np.abs(volumes).sum()
     into = np.arange(len(volumes))
     for void in np.flatnonzero(volumes < -flat).tolist():
@@ -365,22 +345,6 @@ def _touching(positions, corners, into, shell, small, outer, inner):
         pairs[count], area[count] = min(one, two) * len(into) + max(one, two), 0.5 * np.sqrt(square)
         count += 1
     return pairs[:count], area[:count]
-
-
-@njit(cache=True, nogil=True)
-def _add_volumes(positions, corners, shell, first, volumes, from_shell, to_shell):
-    """Signed volume of some shells, by tetrahedra from a vertex of each."""
-    for f in range(len(corners)):
-        n = shell[f]
-        if not from_shell <= n < to_shell:
-            continue
-        p, a, b, c = (
-            positions[corners[first[n], 0]], positions[corners[f, 0]], positions[corners[f, 1]],
-            positions[corners[f, 2]],
-        )  # fmt: skip
-        ax, ay, az, bx, by, bz = a[0] - p[0], a[1] - p[1], a[2] - p[2], b[0] - p[0], b[1] - p[1], b[2] - p[2]
-        cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
-        volumes[n] += (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)) / 6
 
 
 def _holder(positions: Floats, corners: NDArray, shell: NDArray, void: int, around: Ints) -> int:
