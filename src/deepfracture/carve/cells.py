@@ -30,7 +30,9 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
-    found = spread(lambda first, last: _edges(labels, ground.voxels, first, last), len(ground.voxels), least=16384)
+    # The last plane and line are empty, so a part may end anywhere.
+    planes, lines, _ = ground.inside.shape
+    found = spread(lambda first, last: _edges(labels, first, last), (planes - 1) * lines, least=1024)
     edges = np.concatenate(found)
     faulty = spread(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=8192)
     changed = _join_diagonals(labels, edges, np.concatenate(faulty))
@@ -98,29 +100,46 @@ def _grow(labels, empty, found, first, last):
 
 
 @njit(cache=True, nogil=True)
-def _edges(labels, voxels, first, last):
-    flat = labels.reshape(-1)
-    s0, s1 = labels.shape[1] * labels.shape[2], labels.shape[2]
-    edges = np.empty((1024, 2), np.int64)
+def _edges(labels, first, last):
+    """The edges from voxels of some lines of the box to the next voxels along the axes that have another label.
+
+    Most have none: so first a mark for each voxel, which takes no decisions, then those that are not zero."""
+    lines, size = labels.shape[1], labels.shape[2]
+    marks = np.zeros((last - first, size), np.uint8)
     count = 0
     for n in range(first, last):
-        v = voxels[n]
-        own = flat[v]
-        x, y, z = flat[v + s0], flat[v + s1], flat[v + 1]
-        if x == own and y == own and z == own:
-            continue
-        if count + 3 > len(edges):
-            edges = np.concatenate((edges, np.empty_like(edges)))
-        if x != own and x != 0:
-            edges[count, 0], edges[count, 1] = v, 0
-            count += 1
-        if y != own and y != 0:
-            edges[count, 0], edges[count, 1] = v, 1
-            count += 1
-        if z != own and z != 0:
-            edges[count, 0], edges[count, 1] = v, 2
-            count += 1
-    return edges[:count].copy()
+        if n % lines < lines - 1:
+            i, j = n // lines, n % lines
+            count += _mark(labels[i, j], labels[i + 1, j], labels[i, j + 1], marks[n - first])
+    edges, hits = np.empty((count + 3, 2), np.int64), np.empty(size, np.int64)
+    made = 0
+    for n in range(first, last):
+        line, found = marks[n - first], 0
+        for k in range(size):
+            hits[found] = k
+            found += line[k] != 0
+        for h in range(found):
+            for axis in range(3):
+                edges[made, 0], edges[made, 1] = n * size + hits[h], axis
+                made += line[hits[h]] >> axis & 1
+    return edges[:count]
+
+
+@njit(cache=True, nogil=True)
+def _mark(line, below, beside, marks):
+    """Bit 0, 1, 2 of each mark: whether that voxel of a line and its next one along the axis have two labels. Returns
+    how many bits are set."""
+    bits = 0
+    for k in range(len(line) - 1):
+        own, x, y, z = line[k], below[k], beside[k], line[k + 1]
+        one, two, three = (
+            (x != own) & (x != 0) & (own != 0),
+            (y != own) & (y != 0) & (own != 0),
+            (z != own) & (z != 0) & (own != 0),
+        )
+        marks[k] = np.uint8(one | two << 1 | three << 2)
+        bits += one + two + three
+    return bits
 
 
 @njit(cache=True)

@@ -95,7 +95,7 @@ def cross(ground: Ground, sheets: Sheets) -> Crossing:
             ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
             start, members, first, last,
         ),
-        len(sheets.around), least=4096,
+        len(sheets.around), least=1024,
     )  # fmt: skip
     if any(failed for failed, _ in found):
         raise NotGeneral
@@ -225,13 +225,15 @@ def _segments(points, faces, edge_of, sheet_points, triangles, quads, around, st
                     known = True
                 if _apart(points, faces, face, box):
                     continue
+                _planes(points, faces, face, face + 1, planes[4:])
                 copied = False
                 for triangle in range(first, last):
+                    if _on_one_side(sheet_points, triangles, triangle, planes, 4):
+                        continue
                     if _on_one_side(points, faces, face, planes, triangle - first):
                         continue
                     if not copied:
                         _copy(points, faces, face, s)
-                        _planes(points, faces, face, face + 1, planes[4:])
                         copied = True
                     _copy(sheet_points, triangles, triangle, c)
                     found = _segment(s, c, planes, triangle - first, row)
@@ -274,7 +276,7 @@ def _planes(points, triangles, first, last, planes):
 
 @njit(cache=True, inline="always")
 def _on_one_side(points, faces, face, planes, row):
-    """Whether a face lies on one side of a plane beyond doubt."""
+    """Whether a triangle lies on one side of a plane beyond doubt."""
     above, below = 0, 0
     for n in range(3):
         v = faces[face, n]
@@ -347,26 +349,57 @@ def _segment(s, c, planes, plane, row):
     # Seen from its start a segment has the side of a face's corner before it on its left, and so what is below the
     # sheet; or the side of a triangle's corner, and so the outside.
     tails, heads = 0, 0
-    for i in range(3):
-        here, there = (s0, s1) if i == 0 else ((s1, s2) if i == 1 else (s2, s0))
-        hit = 0 if here == there else _side_pierces(s, i, c)
-        if hit < 0:
-            return -1
-        if hit:
-            at = 2 if here < 0 else 4
+    if flat:
+        for i in range(3):
+            here, there = (s0, s1) if i == 0 else ((s1, s2) if i == 1 else (s2, s0))
+            hit = 0 if here == there else _side_pierces(s, i, c)
+            if hit < 0:
+                return -1
+            if hit:
+                at = 2 if here < 0 else 4
+                tails, heads = tails + (at == 2), heads + (at == 4)
+                row[at], row[at + 1] = 0, i
+        return 0 if tails + heads == 0 else (1 if tails == 1 and heads == 1 else -1)
+    # Each lies across the plane of the other with the sides to and from one corner: where these pass each other tells
+    # how the parts of the common line that are in the one and in the other overlap (Guigue and Devillers 2003).
+    k, m = _odd(s0, s1, s2), _odd(c0, c1, c2)
+    sides = ((k + 2) % 3, k), ((m + 2) % 3, m)
+    turns = (
+        (_turn(s, sides[0][0], c, sides[1][0]), _turn(s, sides[0][0], c, sides[1][1])),
+        (_turn(s, sides[0][1], c, sides[1][0]), _turn(s, sides[0][1], c, sides[1][1])),
+    )
+    if turns[0][0] == 0 or turns[0][1] == 0 or turns[1][0] == 0 or turns[1][1] == 0:
+        return -1
+    for n in range(2):
+        i = sides[0][n]
+        if turns[n][0] == turns[n][1]:
+            at = 2 if (s0 if i == 0 else (s1 if i == 1 else s2)) < 0 else 4
             tails, heads = tails + (at == 2), heads + (at == 4)
             row[at], row[at + 1] = 0, i
-        here, there = (c0, c1) if i == 0 else ((c1, c2) if i == 1 else (c2, c0))
-        hit = 0 if here == there else _side_pierces(c, i, s)
-        if hit < 0:
-            return -1
-        if hit:
-            at = 2 if here > 0 else 4
+        i = sides[1][n]
+        if turns[0][n] == turns[1][n]:
+            at = 2 if (c0 if i == 0 else (c1 if i == 1 else c2)) > 0 else 4
             tails, heads = tails + (at == 2), heads + (at == 4)
             row[at], row[at + 1] = 1, i
     if tails + heads == 0:
         return 0
     return 1 if tails == 1 and heads == 1 else -1
+
+
+@njit(cache=True, inline="always")
+def _odd(a, b, c):
+    """Which of three corners lies on another side than the two others."""
+    return 2 if a == b else (0 if b == c else 1)
+
+
+@njit(cache=True)
+def _turn(one, i, two, n):
+    """On which side the line from corner i of a triangle to the next passes the one from corner n of another."""
+    j, m = (i + 1) % 3, (n + 1) % 3
+    return side(
+        one[i, 0], one[i, 1], one[i, 2], one[j, 0], one[j, 1], one[j, 2],
+        two[n, 0], two[n, 1], two[n, 2], two[m, 0], two[m, 1], two[m, 2],
+    )  # fmt: skip
 
 
 @njit(cache=True, inline="always")
@@ -384,21 +417,10 @@ def _corner_side(t, planes, row, other, n):
 @njit(cache=True)
 def _side_pierces(one, i, two):
     """`pierces` for the side of a triangle from its corner i to the next."""
-    j = (i + 1) % 3
-    first = 0
-    for n in range(3):
-        m = (n + 1) % 3
-        turn = side(
-            one[i, 0], one[i, 1], one[i, 2], one[j, 0], one[j, 1], one[j, 2],
-            two[n, 0], two[n, 1], two[n, 2], two[m, 0], two[m, 1], two[m, 2],
-        )  # fmt: skip
-        if turn == 0:
-            return -1
-        if n == 0:
-            first = turn
-        elif turn != first:
-            return 0
-    return 1
+    first, second, third = _turn(one, i, two, 0), _turn(one, i, two, 1), _turn(one, i, two, 2)
+    if first == 0 or second == 0 or third == 0:
+        return -1
+    return 1 if first == second == third else 0
 
 
 @njit(cache=True, inline="always")

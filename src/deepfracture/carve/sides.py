@@ -45,7 +45,7 @@ def sheet_walls(ground: Ground, sheets: Sheets, crossing: Crossing) -> Ints:
     nodes = crossing.sheet_nodes
     touched = np.zeros(len(sheets.triangles), np.bool_)
     touched[crossing.on_sheets.triangle] = True
-    group = _groups(len(sheets.points), _uncut(sheets.triangles, touched, nodes.edges, len(sheets.points)))
+    group = _groups_of_triangles(len(sheets.points), sheets.triangles, touched, nodes.edges)
     sides = _names(group, np.stack(np.divmod(nodes.edges, len(sheets.points)), axis=1), nodes)
 
     def walls(cube: Ints) -> tuple[Floats, Ints]:
@@ -70,30 +70,38 @@ def _groups(count, edges):
     """The lowest vertex that each vertex hangs together with along edges."""
     parent = np.arange(count)
     for n in range(len(edges)):
-        a, b = root(parent, edges[n, 0]), root(parent, edges[n, 1])
-        if a != b:
-            parent[max(a, b)] = min(a, b)
+        _join(parent, edges[n, 0], edges[n, 1])
     for v in range(count):
         parent[v] = parent[parent[v]]
     return parent
 
 
 @njit(cache=True, nogil=True)
-def _uncut(triangles, touched, cut, count):
-    """The edges of triangles that no node lies on, shape (e, 2), most of them twice."""
-    edges = np.empty((3 * len(triangles), 2), np.int64)
-    made = 0
+def _groups_of_triangles(count, triangles, touched, cut):
+    """The same along the edges of triangles that no node lies on; `cut` are the codes of the others, all of them of
+    triangles that are `touched`."""
+    parent = np.arange(count)
     for t in range(len(triangles)):
+        if not touched[t]:
+            _join(parent, triangles[t, 0], triangles[t, 1])
+            _join(parent, triangles[t, 1], triangles[t, 2])
+            continue
         for n in range(3):
             a, b = triangles[t, n], triangles[t, (n + 1) % 3]
-            if touched[t]:
-                code = edge_code(a, b, count)
-                at = np.searchsorted(cut, code)
-                if at < len(cut) and cut[at] == code:
-                    continue
-            edges[made, 0], edges[made, 1] = a, b
-            made += 1
-    return edges[:made]
+            code = edge_code(a, b, count)
+            at = np.searchsorted(cut, code)
+            if at == len(cut) or cut[at] != code:
+                _join(parent, a, b)
+    for v in range(count):
+        parent[v] = parent[parent[v]]
+    return parent
+
+
+@njit(cache=True, inline="always")
+def _join(parent, one, other):
+    a, b = root(parent, one), root(parent, other)
+    if a != b:
+        parent[max(a, b)] = min(a, b)
 
 
 @njit(cache=True, nogil=True)

@@ -444,7 +444,7 @@ def _cross(one, its, two, other):
         shared += its[n] == other[0] or its[n] == other[1] or its[n] == other[2]
     if shared == 2:
         return _folded(one, its, two, other)
-    if shared == 3 or (shared == 0 and _apart(one, two)):
+    if shared == 3 or (shared == 0 and _apart(one, two)) or (shared == 1 and _only_meet(one, its, two, other)):
         return False
     a0, a1, a2 = _height(one, its, two, other, 0), _height(one, its, two, other, 1), _height(one, its, two, other, 2)
     if min(a0, a1, a2) >= 0 or max(a0, a1, a2) <= 0:
@@ -477,6 +477,29 @@ def _apart(one, two):
         if max(one[0, x], one[1, x], one[2, x]) < min(two[0, x], two[1, x], two[2, x]):
             return True
         if min(one[0, x], one[1, x], one[2, x]) > max(two[0, x], two[1, x], two[2, x]):
+            return True
+    return False
+
+
+@njit(cache=True, inline="always")
+def _only_meet(one, its, two, other):
+    """Whether a plane across an axis at the common corner of two triangles has them on its two sides, but for it."""
+    n, m = 0, 0
+    for x in range(3):
+        if its[x] == other[0] or its[x] == other[1] or its[x] == other[2]:
+            n = x
+        if other[x] == its[0] or other[x] == its[1] or other[x] == its[2]:
+            m = x
+    i, j, k, o = (n + 1) % 3, (n + 2) % 3, (m + 1) % 3, (m + 2) % 3
+    for x in range(3):
+        at = one[n, x]
+        if max(one[i, x], one[j, x]) < at <= min(two[k, x], two[o, x]):
+            return True
+        if min(one[i, x], one[j, x]) > at >= max(two[k, x], two[o, x]):
+            return True
+        if max(two[k, x], two[o, x]) < at <= min(one[i, x], one[j, x]):
+            return True
+        if min(two[k, x], two[o, x]) > at >= max(one[i, x], one[j, x]):
             return True
     return False
 
