@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -64,6 +65,28 @@ def spread(job: Callable[[int, int], T], count: int, *, least: int) -> list[T]:
     if parts < 2 or threads < 2 or getattr(_busy, "here", False):
         return [job(0, count)]
     return _shared([_part(job, count * n // parts, count * (n + 1) // parts) for n in range(parts)], threads)
+
+
+def apportion(job: Callable[[int], T], sizes: Sequence[float]) -> list[T]:
+    """`job(n)` for each n of range(len(sizes)), side by side; the results in their order.
+
+    `sizes` say how much work each is: they are put into groups of about the same size, the largest first."""
+    threads = thread_count()
+    parts = min(PARTS * threads, len(sizes))
+    if parts < 2 or threads < 2 or getattr(_busy, "here", False):
+        return [job(n) for n in range(len(sizes))]
+    groups: list[tuple[float, list[int]]] = [(0.0, []) for _ in range(parts)]
+    for n in sorted(range(len(sizes)), key=lambda n: -sizes[n]):
+        total, group = heapq.heappop(groups)  # the least so far; one with the same total that has fewer comes first
+        heapq.heappush(groups, (total + sizes[n], [*group, n]))
+    found: list[Any] = [None] * len(sizes)
+
+    def each(group: list[int]) -> None:
+        for n in group:
+            found[n] = job(n)
+
+    _shared([partial(each, group) for _, group in sorted(groups, reverse=True)], threads)
+    return found
 
 
 def together(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:

@@ -15,7 +15,7 @@ from deepfracture.carve.slivers import without_short_edges
 from deepfracture.carve.solids import Faces, Solid, solids
 from deepfracture.geometry import mass_properties
 from deepfracture.progress import stage
-from deepfracture.threads import spread, together
+from deepfracture.threads import apportion, together
 from deepfracture.types import (
     BadInput,
     FracturePattern,
@@ -80,8 +80,8 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float, roughness: fl
             f"{shape.name}: cannot be cut: its surface crosses itself or degenerates where cracks cross it; "
             "try --repair"
         )
-    made = spread(lambda first, last: [_fragment(p, density) for p in pieces[first:last]], len(pieces), least=1)
-    return Fragments(tuple(fragment for part in made for fragment in part))
+    sizes = [len(piece.mesh.faces) for piece in pieces]
+    return Fragments(tuple(apportion(lambda n: _fragment(pieces[n], density), sizes)))
 
 
 def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Sheets) -> list[Solid]:

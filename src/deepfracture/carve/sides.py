@@ -68,7 +68,7 @@ def _names(group: Ints, ends: Ints, nodes: EdgeNodes) -> Ints:
 @njit(cache=True, nogil=True)
 def _groups(count, edges):
     """The lowest vertex that each vertex hangs together with along edges."""
-    parent = np.arange(count)
+    parent = np.arange(count).astype(np.int32)
     for n in range(len(edges)):
         _join(parent, edges[n, 0], edges[n, 1])
     for v in range(count):
@@ -80,7 +80,7 @@ def _groups(count, edges):
 def _groups_of_triangles(count, triangles, touched, cut):
     """The same along the edges of triangles that no node lies on; `cut` are the codes of the others, all of them of
     triangles that are `touched`."""
-    parent = np.arange(count)
+    parent = np.arange(count).astype(np.int32)
     for t in range(len(triangles)):
         if not touched[t]:
             _join(parent, triangles[t, 0], triangles[t, 1])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
 from deepfracture.carve.join import root
-from deepfracture.threads import spread
+from deepfracture.threads import apportion
 from deepfracture.types import Floats, Ints, Mesh
 
 FLAT = 1e-13
@@ -81,8 +81,7 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
         twice = points[_doubles(fans, len(points))] if joined[n] else np.empty((0, 2), np.int64)
         return Solid(Mesh(positions, fans), source), twice
 
-    made = spread(lambda first, last: [make(n) for n in range(first, last)], len(names), least=1)
-    pairs = [pair for part in made for pair in part]
+    pairs = apportion(make, np.diff(face_start).tolist())
     return [solid for solid, _ in pairs], np.concatenate([np.empty((0, 2), np.int64), *(twice for _, twice in pairs)])
 
 
@@ -204,14 +203,14 @@ def _surfaces(positions: Floats, corners: NDArray, cell: NDArray) -> tuple[NDArr
     cells = int(cell.max(initial=0)) + 1
     order, start = _sorted(cell, np.zeros(len(cell), np.bool_), cells)
     twin, shell = np.empty(3 * len(cell), np.int32), np.empty(len(cell), np.int32)
-    found = spread(
-        lambda one, end: _closed(positions, corners, order, start, twin, shell, one, end), cells, least=1
-    )  # fmt: skip
+    found = apportion(
+        lambda n: _closed(positions, corners, order[start[n] : start[n + 1]], twin, shell), np.diff(start).tolist()
+    )
     if not all(fine for fine, *_ in found):
         raise NotGeneral
-    shells, first, volumes = (np.concatenate([part[n] for part in found]) for n in (1, 2, 3))
+    shells = np.array([len(first) for _, first, _ in found])
     _shift(shell, cell, np.cumsum(shells) - shells)
-    return twin, shell, first, volumes
+    return twin, shell, np.concatenate([first for _, first, _ in found]), np.concatenate([v for *_, v in found])
 
 
 @njit(cache=True, nogil=True)
@@ -221,47 +220,35 @@ def _shift(shell, cell, by):
 
 
 @njit(cache=True, nogil=True)
-def _closed(positions, corners, order, start, twin, shell, from_cell, to_cell):
-    """Whether the surfaces of some cells are closed; the number of shells of each; the first face and the signed volume
-    of each shell. Writes `twin`, and `shell` from 0 in each cell. Edges meet in a table with open addresses."""
-    largest = 0
-    for c in range(from_cell, to_cell):
-        largest = max(largest, start[c + 1] - start[c])
-    room = 16
-    while room < 4 * largest:
-        room *= 2
-    parent, keys, edges = np.empty(largest, np.int32), np.empty(room, np.int64), np.empty((room, 2), np.int32)
-    shells = np.zeros(to_cell - from_cell, np.int64)
-    first, volumes = np.empty(start[to_cell] - start[from_cell], np.int64), np.zeros(start[to_cell] - start[from_cell])
-    made = 0
-    for c in range(from_cell, to_cell):
-        own = order[start[c] : start[c + 1]]
-        if not _paired(corners, own, twin, parent, keys, edges, len(positions)):
-            return False, shells, first[:0], volumes[:0]
-        begin = made
-        for i in range(len(own)):
-            f, head = own[i], root(parent, i)
-            if head == i:
-                shell[f], first[made] = made - begin, f
-                made += 1
-            else:
-                shell[f] = shell[own[head]]
-            n = begin + shell[f]
-            volumes[n] += _six_volumes(positions, corners[first[n], 0], corners[f, 0], corners[f, 1], corners[f, 2])
-        shells[c - from_cell] = made - begin
-    return True, shells, first[:made].copy(), volumes[:made] / 6
+def _closed(positions, corners, own, twin, shell):
+    """Whether the surface of a cell is closed; the first face and the signed volume of each of its shells. Writes
+    `twin`, and `shell` from 0."""
+    parent, first, volumes = np.empty(len(own), np.int32), np.empty(len(own), np.int64), np.zeros(len(own))
+    if not _paired(corners, own, twin, parent, len(positions)):
+        return False, first[:0], volumes[:0]
+    shells = 0
+    for i in range(len(own)):
+        f, head = own[i], root(parent, i)
+        if head == i:
+            shell[f], first[shells] = shells, f
+            shells += 1
+        else:
+            shell[f] = shell[own[head]]
+        n = shell[f]
+        volumes[n] += _six_volumes(positions, corners[first[n], 0], corners[f, 0], corners[f, 1], corners[f, 2])
+    return True, first[:shells].copy(), volumes[:shells] / 6
 
 
 @njit(cache=True, nogil=True)
-def _paired(corners, own, twin, parent, keys, edges, count):
+def _paired(corners, own, twin, parent, count):
     """Whether each edge of a cell's faces has exactly one that runs back: its twin, whose face joins its own.
 
-    In the table an edge (`keys`) has the number of the first that ran along it, ~number if from the higher point, and
-    the place of its face in `own`, -1 once its twin has come (`edges`)."""
+    In a table with open addresses an edge (`keys`) has the number of the first that ran along it, ~number if from the
+    higher point, and the place of its face in `own`, -1 once its twin has come (`edges`)."""
     room = 16
-    while room < 4 * len(own):
+    while room < 3 * len(own):
         room *= 2
-    keys[:room] = -1
+    keys, edges = np.full(room, -1, np.int64), np.empty((room, 2), np.int32)
     lonely = 0
     for i in range(len(own)):
         parent[i] = i
