@@ -21,7 +21,11 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
     along an edge has no manifold surface."""
     # Made here and not in a kernel: numpy asks for large pages, which halves the time of all that follows.
     labels = np.zeros(ground.inside.shape, np.int32)
-    empty = _on_ground(pattern.labels, ground.voxels, ground.on_grid, labels)
+    left = spread(
+        lambda first, last: _on_ground(pattern.labels, ground.voxels, ground.on_grid, labels, first, last),
+        len(ground.voxels), least=16384,
+    )  # fmt: skip
+    empty = np.concatenate(left)
     before = -1
     while len(empty) != before:
         before = len(empty)
@@ -41,13 +45,13 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
     return labels, edges
 
 
-@njit(cache=True)
-def _on_ground(source, voxels, on_grid, labels):
-    """Write the labels of the voxels; the flat indices of those that have none."""
+@njit(cache=True, nogil=True)
+def _on_ground(source, voxels, on_grid, labels, first, last):
+    """Write the labels of some voxels; the flat indices of those that have none."""
     flat, grid = labels.reshape(-1), source.reshape(-1)
-    empty = np.empty(len(voxels), np.int64)
+    empty = np.empty(last - first, np.int64)
     count = 0
-    for n in range(len(voxels)):
+    for n in range(first, last):
         label = grid[on_grid[n]] if on_grid[n] >= 0 else 0
         if label > 0:
             flat[voxels[n]] = label
@@ -61,7 +65,7 @@ def _grown(labels: Labels, empty: Ints) -> Ints:
     """Write the labels that empty voxels take over from their neighbours, all at once; those that are still empty."""
     found = np.zeros(len(empty), np.int32)
     spread(lambda first, last: _grow(labels, empty, found, first, last), len(empty), least=2048)
-    labels.flat[empty] = found
+    labels.reshape(-1)[empty] = found
     return empty[found == 0]
 
 
@@ -144,17 +148,23 @@ def _mark(line, below, beside, marks):
 
 @njit(cache=True)
 def _renewed(labels, edges, changed, dirty):
-    """The edges after some voxels have changed; `dirty`: scratch, all False."""
+    """The edges, in the order of their voxels, after some have changed; `dirty`: scratch, all False."""
     flat = labels.reshape(-1)
     strides = (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
     for v in changed:
         dirty[v] = True
+    gone = np.zeros(len(edges), np.bool_)
+    for v in changed:
+        for first in (v, v - strides[0], v - strides[1], v - strides[2]):
+            e = np.searchsorted(edges[:, 0], first)
+            while e < len(edges) and edges[e, 0] == first:
+                gone[e] = dirty[first] or dirty[first + strides[edges[e, 1]]]
+                e += 1
     fresh = np.empty((len(edges) + 6 * len(changed), 2), np.int64)
     count = 0
     for e in range(len(edges)):
-        if not (dirty[edges[e, 0]] or dirty[edges[e, 0] + strides[edges[e, 1]]]):
-            fresh[count] = edges[e]
-            count += 1
+        fresh[count, 0], fresh[count, 1] = edges[e, 0], edges[e, 1]
+        count += not gone[e]
     for v in changed:
         if not dirty[v]:
             continue

@@ -87,6 +87,30 @@ def edge_codes(triangles: Ints, count: int) -> Ints:
     return np.minimum(triangles, following) * count + np.maximum(triangles, following)
 
 
+@njit(cache=True, nogil=True)
+def edge_table(edges):
+    """Where each of some codes is among them, for `edge_at`: a table with open addresses."""
+    size = 16
+    while size < 3 * len(edges):
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    for n in range(len(edges)):
+        at = (edges[n] * 0x9E3779B97F4A7C1) >> 20 & (size - 1)
+        while table[at] >= 0:
+            at = (at + 1) & (size - 1)
+        table[at] = n
+    return table
+
+
+@njit(cache=True, inline="always")
+def edge_at(table, edges, code):
+    """Where a code is among `edges`, -1 if it is not there."""
+    at = (code * 0x9E3779B97F4A7C1) >> 20 & (len(table) - 1)
+    while table[at] >= 0 and edges[table[at]] != code:
+        at = (at + 1) & (len(table) - 1)
+    return table[at]
+
+
 def cross(ground: Ground, sheets: Sheets) -> Crossing:
     """All crossings of sheets and surface. Raises NotGeneral if they cannot be told exactly."""
     start, members = _members(sheets.number, len(sheets.cubes), ground.cubes, ground.touching)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.crossing import EdgeNodes, NotGeneral, Segments
+from deepfracture.carve.crossing import EdgeNodes, NotGeneral, Segments, edge_at, edge_table
 from deepfracture.types import Floats, Ints
 
 FLIPS = 8
@@ -95,11 +95,11 @@ def _rims(codes, forward, edges, start, nodes, before, after):
     """The nodes on the sides of triangles, in the order of each side, and the labels after them."""
     rim_start = np.zeros(3 * len(codes) + 1, np.int64)
     rim, beyond = np.empty(16, np.int64), np.empty(16, np.int64)
-    count = 0
+    table, count = edge_table(edges), 0
     for t in range(len(codes)):
         for n in range(3):
-            at = np.searchsorted(edges, codes[t, n])
-            if at < len(edges) and edges[at] == codes[t, n]:
+            at = edge_at(table, edges, codes[t, n])
+            if at >= 0:
                 size = start[at + 1] - start[at]
                 while count + size > len(rim):
                     rim = np.concatenate((rim, np.empty_like(rim)))

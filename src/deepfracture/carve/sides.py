@@ -7,7 +7,18 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.crossing import INSIDE, OUTSIDE, Crossing, EdgeNodes, NotGeneral, edge_code, over, pierces
+from deepfracture.carve.crossing import (
+    INSIDE,
+    OUTSIDE,
+    Crossing,
+    EdgeNodes,
+    NotGeneral,
+    edge_at,
+    edge_code,
+    edge_table,
+    over,
+    pierces,
+)
 from deepfracture.carve.ground import Ground
 from deepfracture.carve.join import root
 from deepfracture.carve.sheets import Sheets
@@ -80,7 +91,7 @@ def _groups(count, edges):
 def _groups_of_triangles(count, triangles, touched, cut):
     """The same along the edges of triangles that no node lies on; `cut` are the codes of the others, all of them of
     triangles that are `touched`."""
-    parent = np.arange(count).astype(np.int32)
+    parent, table = np.arange(count).astype(np.int32), edge_table(cut)
     for t in range(len(triangles)):
         if not touched[t]:
             _join(parent, triangles[t, 0], triangles[t, 1])
@@ -88,9 +99,7 @@ def _groups_of_triangles(count, triangles, touched, cut):
             continue
         for n in range(3):
             a, b = triangles[t, n], triangles[t, (n + 1) % 3]
-            code = edge_code(a, b, count)
-            at = np.searchsorted(cut, code)
-            if at == len(cut) or cut[at] != code:
+            if edge_at(table, cut, edge_code(a, b, count)) < 0:
                 _join(parent, a, b)
     for v in range(count):
         parent[v] = parent[parent[v]]
