@@ -2,6 +2,7 @@
 
 import multiprocessing
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from deepfracture import threads
 from deepfracture.carve import cut
 from deepfracture.geometry import builtin, signed_distance
-from deepfracture.threads import spread, together
+from deepfracture.threads import apportion, one_blas_thread, product, spread, together
 from deepfracture.types import FracturePattern, Grid
 
 
@@ -31,6 +32,45 @@ def test_parts_are_consecutive_and_in_order(count: int, least: int) -> None:
     parts = spread(span, count, least=least)
     assert flat(parts) == list(range(count))
     assert count < 2 * least or len(parts) > 1
+
+
+@pytest.mark.parametrize("sizes", [[], [3.0], [1.0, 100.0, 1.0, 1.0], [float(n % 7) for n in range(40)]])
+def test_what_is_apportioned_comes_in_order(sizes: list[float]) -> None:
+    assert apportion(lambda n: (n, sizes[n]), sizes) == list(enumerate(sizes))
+
+
+def test_the_largest_does_not_wait_behind_the_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "_shared", lambda jobs, _: [job() for job in jobs])  # in the order of their turns
+    order: list[int] = []
+    apportion(order.append, [1.0] * 30 + [50.0])
+    assert order[0] == 30 and sorted(order) == list(range(31))
+
+
+def test_a_product_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    rows, matrix = rng.normal(size=(5000, 96)).astype(np.float32), rng.normal(size=(96, 30)).astype(np.float32)
+    found = product(rows, matrix)
+    assert np.allclose(found, rows @ matrix, atol=1e-3)
+    monkeypatch.setattr(threads, "thread_count", lambda: 1)
+    assert product(rows, matrix).tobytes() == found.tobytes()
+
+
+def test_matrices_leave_the_other_threads_alone_only_while_asked() -> None:
+    from threadpoolctl import threadpool_info
+
+    def blas() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    before = blas()
+    with one_blas_thread():
+        assert set(blas()) == {1}
+    assert blas() == before
+
+
+def test_a_helper_that_has_gone_to_sleep_comes_again() -> None:
+    for wait in (0.0, 0.0005, 0.002, 0.01) * 20:  # it stays awake for about a millisecond
+        assert flat(spread(span, 9, least=1)) == list(range(9))
+        time.sleep(wait)
 
 
 def test_several_threads_take_part() -> None:

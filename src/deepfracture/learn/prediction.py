@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from deepfracture.learn.codebook import nearest_first
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.settings import Config
+from deepfracture.threads import one_blas_thread, product
 from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
 FORMAT = 2
@@ -83,7 +84,9 @@ class Model:
 
     def decode(self, code: Floats32) -> Volume:
         """The GS-SDF of one latent code, shape (code_size,)."""
-        return volume_of(self.body, self.waves @ network.compose(self.weights, code[None], np)[0])
+        with one_blas_thread():
+            matrix = network.compose(self.weights, code[None], np)[0]
+        return volume_of(self.body, product(self.waves, matrix))
 
 
 def _body(shape: Shape, grid: Grid) -> Body:
@@ -125,20 +128,26 @@ def predict(model: Model, impact: Impact, rng: np.random.Generator, way: Way = O
 
 def predictions(model: Model, impact: Impact, rng: np.random.Generator, way: Way = OURS) -> Iterator[Volume]:
     """The answer of `predict`, and what to fall back on when it does not serve: the next codes in order."""
+    with one_blas_thread():
+        codes = _codes(model, impact, rng, way)
+    for code in codes:
+        yield model.decode(code)
+
+
+def _codes(model: Model, impact: Impact, rng: np.random.Generator, way: Way) -> Iterable[Floats32]:
+    """The latent codes that answer an impact, the best first."""
     rows = model.normaliser(impact).astype(np.float32)
     random = rng.standard_normal(model.config.segment_size, np.float32) * np.float32(way.random)
     impulse = network.encode_impulses(model.weights, rows[None], np)[0]
     code = np.concatenate([impulse, random])
     if way.rule == "free":
-        yield model.decode(code)
-        return
+        return [code]
     if way.rule == "typical":
         order = model.choice(rows, random, variety=way.variety)
     else:
         compared = slice(None) if way.random else slice(len(impulse))
         order = nearest_first(model.codebook[:, compared], code[compared])
-    for index in order:
-        yield model.decode(model.codebook[index])
+    return (model.codebook[index] for index in order)
 
 
 def save_model(path: Path, model: Model) -> None:
