@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from deepfracture.threads import spread
+from deepfracture.types import Floats, Ints
 from deepfracture.world.convex import CORNERS, between, corners, hull, planes, put, volume
 
 FINE = 0.003
@@ -20,8 +22,7 @@ ROOM = 2000
 """Triangles that a hull may have while it is cut."""
 
 
-@njit(cache=True, nogil=True)
-def apart(triangles, starts, owners):
+def apart(triangles: Floats, starts: Ints, owners: Ints) -> tuple[Floats, Ints, Floats]:
     """Cut hulls back.
 
     Two that are so deep in each other that the plane would take the middle of one are left as they are: they
@@ -35,13 +36,60 @@ def apart(triangles, starts, owners):
     Returns:
         (corners of all hulls, shape (n, 3); where each begins, and the end, shape (k + 1,); volume of each [m^3])
     """
-    count = len(owners)
-    first, second, cuts = _cuts(triangles, starts, owners)
-    volumes = np.empty(count)
-    left = np.zeros((count * CORNERS, 3))
-    last = np.zeros(count + 1, np.int64)
-    room = np.empty((2, ROOM, 3, 3))
+    boxes, points, ends = _corners(triangles, starts)
+    faces, count = planes(triangles), len(owners)
+    met = spread(
+        lambda low, high: _cuts(faces, starts, owners, boxes, points, ends, low, high), count, least=1
+    )  # fmt: skip
+    first, second, cuts = (np.concatenate(column) for column in zip(*met, strict=True))
+    left = spread(lambda low, high: _cut_back(triangles, starts, first, second, cuts, low, high), count, least=1)
+    kept, counts, volumes = (np.concatenate(column) for column in zip(*left, strict=True))
+    return kept, np.append(0, np.cumsum(counts)), volumes
+
+
+@njit(cache=True, nogil=True)
+def _corners(triangles, starts):
+    """Boxes and middles of hulls, shape (k, 9); the corners of all; where those of each begin, and the end."""
+    count = len(starts) - 1
+    boxes, points, ends = np.empty((count, 9)), np.empty((3 * len(triangles), 3)), np.zeros(count + 1, np.int64)
     for i in range(count):
+        own = corners(triangles[starts[i] : starts[i + 1]])
+        ends[i + 1] = ends[i] + len(own)
+        points[ends[i] : ends[i + 1]] = own
+        for k in range(3):
+            boxes[i, k], boxes[i, 3 + k], boxes[i, 6 + k] = own[:, k].min(), own[:, k].max(), own[:, k].mean()
+    return boxes, points[: ends[-1]], ends
+
+
+@njit(cache=True, nogil=True)
+def _cuts(faces, starts, owners, boxes, points, ends, from_hull, to_hull):
+    """The pairs of some hulls and later ones that overlap, and the planes between: (first, second, planes, (n, 5))."""
+    count = len(owners)
+    room = (to_hull - from_hull) * count
+    first, second, cuts = np.empty(room, np.int64), np.empty(room, np.int64), np.empty((room, 5))
+    met = 0
+    for i in range(from_hull, to_hull):
+        for j in range(i + 1, count):
+            if owners[i] == owners[j] or not _near(boxes[i], boxes[j]):
+                continue
+            cut = cuts[met]
+            cut[4] = np.inf
+            between(faces[starts[i] : starts[i + 1]], points[ends[j] : ends[j + 1]], cut)
+            if cut[4] > 0 and between(faces[starts[j] : starts[j + 1]], points[ends[i] : ends[i + 1]], cut):
+                cut[:4] *= -1
+            if cut[4] > SHALLOW and cut[:3] @ boxes[i, 6:] < cut[3] < cut[:3] @ boxes[j, 6:]:
+                first[met], second[met] = i, j
+                met += 1
+    return first[:met], second[:met], cuts[:met]
+
+
+@njit(cache=True, nogil=True)
+def _cut_back(triangles, starts, first, second, cuts, from_hull, to_hull):
+    """Corners of some hulls after the cuts, how many each has, and the volume of each."""
+    count = to_hull - from_hull
+    volumes, left, counts = np.empty(count), np.empty((count * CORNERS, 3)), np.empty(count, np.int64)
+    room, used = np.empty((2, ROOM, 3, 3)), 0
+    for i in range(from_hull, to_hull):
         n = starts[i + 1] - starts[i]
         room[0, :n] = triangles[starts[i] : starts[i + 1]]
         now, whole = 0, True
@@ -56,40 +104,10 @@ def apart(triangles, starts, owners):
                 room[now, :n] = crowd
         solid = room[now, :n] if whole else hull(corners(room[now, :n]), FINE)
         own = corners(solid)
-        last[i + 1] = last[i] + len(own)
-        left[last[i] : last[i + 1]] = own
-        volumes[i] = volume(solid)
-    return left[: last[-1]].copy(), last, volumes
-
-
-@njit(cache=True, nogil=True)
-def _cuts(triangles, starts, owners):
-    """The pairs of hulls that overlap, and the planes between them: (first, second, planes, shape (n, 5))."""
-    count = len(owners)
-    boxes, points, faces = np.empty((count, 9)), np.empty((3 * len(triangles), 3)), planes(triangles)
-    ends = np.zeros(count + 1, np.int64)
-    for i in range(count):
-        own = corners(triangles[starts[i] : starts[i + 1]])
-        ends[i + 1] = ends[i] + len(own)
-        points[ends[i] : ends[i + 1]] = own
-        for k in range(3):
-            boxes[i, k], boxes[i, 3 + k], boxes[i, 6 + k] = own[:, k].min(), own[:, k].max(), own[:, k].mean()
-    first, second = np.empty(count * count, np.int64), np.empty(count * count, np.int64)
-    cuts = np.empty((count * count, 5))
-    met = 0
-    for i in range(count):
-        for j in range(i + 1, count):
-            if owners[i] == owners[j] or not _near(boxes[i], boxes[j]):
-                continue
-            cut = cuts[met]
-            cut[4] = np.inf
-            between(faces[starts[i] : starts[i + 1]], points[ends[j] : ends[j + 1]], cut)
-            if cut[4] > 0 and between(faces[starts[j] : starts[j + 1]], points[ends[i] : ends[i + 1]], cut):
-                cut[:4] *= -1
-            if cut[4] > SHALLOW and cut[:3] @ boxes[i, 6:] < cut[3] < cut[:3] @ boxes[j, 6:]:
-                first[met], second[met] = i, j
-                met += 1
-    return first[:met], second[:met], cuts[:met]
+        left[used : used + len(own)] = own
+        used += len(own)
+        counts[i - from_hull], volumes[i - from_hull] = len(own), volume(solid)
+    return left[:used].copy(), counts, volumes
 
 
 @njit(cache=True, nogil=True)

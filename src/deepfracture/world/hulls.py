@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.threads import spread
+from deepfracture.threads import apportion
 from deepfracture.types import Floats, Ints, Mesh
 from deepfracture.world.apart import apart
 from deepfracture.world.convex import clip
@@ -69,8 +69,7 @@ def whole_hulls(mesh: Mesh) -> Hulls:
 
 def piece_hulls(meshes: Sequence[Mesh]) -> list[Hulls]:
     """Parts of each fragment, slightly shrunk towards their own centres, that do not overlap those of another."""
-    shared = spread(lambda first, last: [_piece(mesh) for mesh in meshes[first:last]], len(meshes), least=1)
-    found = [piece for part in shared for piece in part]
+    found = apportion(lambda n: _piece(meshes[n]), [len(mesh.faces) for mesh in meshes])
     each = np.concatenate([starts[1:] - starts[:-1] for _, starts, _ in found])
     starts = np.concatenate([[0], np.cumsum(each)])
     counts = np.array([len(starts) - 1 for _, starts, _ in found])
