@@ -200,6 +200,8 @@ def _surfaces(positions: Floats, corners: NDArray, cell: NDArray) -> tuple[NDArr
     Returns for the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
     surface; the number 0.. of the shell that each face belongs to; the first face of each shell; and its signed
     volume [m^3]. Raises NotGeneral if some edge has none that runs back, or several."""
+    if cell.max(initial=0) > len(cell):  # names, not numbers
+        cell = np.unique(cell, return_inverse=True)[1].reshape(-1).astype(np.int32)
     cells = int(cell.max(initial=0)) + 1
     order, start = _sorted(cell, np.zeros(len(cell), np.bool_), cells)
     twin, shell = np.empty(3 * len(cell), np.int32), np.empty(len(cell), np.int32)
