@@ -24,7 +24,9 @@ SHAPE_TRAVEL = 0.05
 would sink in as far."""
 SINKING = 0.002
 """Nothing stands deeper in the floor than this at the end of a frame [m]; what merely lies there does not sink in so
-far."""
+far ..."""
+THIN = 1e-4
+"""... nor does the centre of mass of a flat shard come closer to it [m]."""
 
 DROWSY_SPEED, DROWSY_SPIN = 0.3, 2.0
 """What is slower [m/s, rad/s], on a floor, is about to come to rest ..."""
@@ -233,22 +235,21 @@ class Stage:
         self.engine.remove(body.number)
 
     def lift(self, moving: list[tuple[Body, Motion]]) -> list[tuple[Body, Motion]]:
-        """Take out of the floor what has been pressed deeper into it than `SINKING`; returns where everything is then.
+        """Take out of the floor what has been pressed into it (see `SINKING`); returns where everything is then.
 
         Contacts of an engine yield, most of all where a heavy body presses a light one; the floor does not. Only places
         change, not velocities (post-stabilisation: Cline and Pai 2003), so nothing bounces because of it."""
         if self.scene.floor is None:
             return moving
-        standing = [(body, motion) for body, motion in moving if body.hulls]
-        lowest = self._footing.lowest([body for body, _ in standing], [motion for _, motion in standing])
-        depths = self.scene.floor.height - lowest
-        found = {}
-        for (body, motion), depth in zip(standing, depths, strict=True):
-            if depth > SINKING:
-                up = np.array([0.0, 0.0, depth - SINKING])
-                found[body.number] = replace(motion, position=motion.position + up)
-                self.engine.move(body.number, found[body.number])
-        return [(body, found.get(body.number, motion)) for body, motion in moving]
+        lowest, centres = self._footing.heights([body for body, _ in moving], [motion for _, motion in moving])
+        floor = self.scene.floor.height
+        ups = np.maximum(floor - lowest - SINKING, floor + THIN - centres)
+        found = list(moving)
+        for n in np.flatnonzero(ups > 0).tolist():
+            body, motion = moving[n]
+            found[n] = body, replace(motion, position=motion.position + np.array([0.0, 0.0, ups[n]]))
+            self.engine.move(body.number, found[n][1])
+        return found
 
     def moving(self) -> list[tuple[Body, Motion]]:
         return [(b, self.engine.motion(b.number)) for b in self.bodies.values() if not b.fixed]
