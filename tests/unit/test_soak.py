@@ -228,6 +228,7 @@ def test_what_cannot_be_soaked_is_refused_in_one_line(wrong, said):
     ("shape", "breaker", "seed"),
     [
         ("bar", "cvd", 349),  # a ball of 142 kg at 59 m/s, splinters of 5 kg under it: 74 mm
+        ("bowl", "cvd", 142),  # the same under 836 kg: 85 mm
         ("plate", "voronoi", 1062),  # a splinter of 0.4 kg born under the ball: 46 mm
         ("base", "voronoi", 2255),  # 79 mm
         ("bunny", "learned", 2534),  # a thin shard that lies flat: 7 mm, its centre of mass below the floor
