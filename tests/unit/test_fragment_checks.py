@@ -110,6 +110,19 @@ def test_voids_belong_inside() -> None:
     assert inside.failures["crack alone"] == 12
 
 
+@pytest.mark.parametrize(("way", "stray"), [(1, 0), (-1, 1)])
+def test_a_void_may_touch_the_surface_around_it(way: int, stray: int) -> None:
+    """At the corner that comes first, which is neither inside nor outside."""
+    solid = box((2, 2, 2), (2, 2, 2))
+    touching = solid.vertices[solid.faces[0, 0]]
+    ends = (1 - 0.4 * way) * touching + np.diag([0.2, 0.2, 0.2])
+    void = Mesh(np.concatenate([[touching], ends]), np.array([(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)]))
+    void = inverted(void) if void.volume > 0 else void
+    void = Mesh(void.vertices, np.roll(void.faces, -np.argwhere(void.faces[0] == 0)[0, 0], axis=1))
+    report = check([piece(together(solid, void), np.full(len(solid.faces) + 4, -1))], Shape("box", solid))
+    assert void.faces[0, 0] == 0 and (report.pieces[0].bodies, report.pieces[0].stray) == (1, stray)
+
+
 def test_inside_out_and_crossing_surfaces() -> None:
     left, right = halves()
     turned = check([piece(inverted(left.mesh), left.source), right]).failures

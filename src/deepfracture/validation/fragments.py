@@ -196,7 +196,11 @@ def _bodies(mesh: Mesh, part: Ints) -> tuple[int, int]:
     if not outward.any():
         return 0, len(voids)
     corner = mesh.vertices[mesh.faces[[int(np.argmax(part == void)) for void in voids], 0]]
-    inside = signed_distance_points(compact(mesh.vertices, mesh.faces[outward[part]]), corner) > 0
+    around = compact(mesh.vertices, mesh.faces[outward[part]])
+    inside = signed_distance_points(around, corner) > 0
+    for n in np.flatnonzero(~inside):  # a void may touch the surface around it at this corner, but not at all of them
+        distances = signed_distance_points(around, compact(mesh.vertices, mesh.faces[part == voids[n]]).vertices)
+        inside[n] = distances[np.argmax(np.abs(distances))] > 0
     return int(outward.sum()), int((~inside).sum())
 
 
