@@ -258,9 +258,10 @@ def _paired(corners, own, twin, parent, count):
         for n in range(3):
             low, high = min(a, b), max(a, b)
             edge, key = np.int32(3 * own[i] + n), np.int64(low) * count + high
-            at = (low * 0x9E3779B97F4A7C1 + high * 0x2545F4914F6CDD1) >> 20 & (room - 1)
+            # Neighbours meet nearby in the table; only what finds its place taken is sent far away.
+            at, step = (8 * low + (5 * high >> 1 & 7)) & (room - 1), (high * 0x9E3779B97F4A7C1) >> 20 | 1
             while keys[at] >= 0 and keys[at] != key:
-                at = (at + 1) & (room - 1)
+                at = (at + step) & (room - 1)
             if keys[at] < 0:
                 keys[at], edges[at, 0], edges[at, 1] = key, edge if a < b else ~edge, i
                 lonely += 1
