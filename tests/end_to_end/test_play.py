@@ -128,15 +128,19 @@ def test_a_hit_shatters_it_and_tells_what_happened(tab):
 
 
 @pytest.mark.browser
-def test_a_piece_can_be_shot_again(tab):
+def test_a_piece_can_be_shot_again(tab, monkeypatch):
+    panel, sent = PLAYERS[0]._panel, []
+    readout = panel.readout
+    monkeypatch.setattr(panel, "readout", lambda *a, **k: (readout(*a, **k), sent.append(panel._found.content)))
     first, pieces = said(tab), number(tab, "pieces in the world")
     rows, columns = np.nonzero(clay(picture(tab)))
     near = int(np.argmin((columns - np.median(columns)) ** 2 + (rows - np.median(rows)) ** 2))
     tab.mouse.click(int(columns[near]), int(rows[near]))
-    # "The ball is on its way" may be gone before a slow browser has drawn it.
+    # "The ball is on its way" is sent to the page, but may be gone before a slow browser has drawn it.
     tab.wait_for_function(
         "said => [...document.querySelectorAll('.df')].map(text => text.innerText).join('\\n') !== said", arg=first
     )
+    assert "The ball is on its way" in sent[0]
     until_rest(tab)
     assert re.search(r"impulse I", said(tab)) and said(tab) != first
     assert number(tab, "pieces in the world") >= pieces
