@@ -22,8 +22,7 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
     # Made here and not in a kernel: numpy asks for large pages, which halves the time of all that follows.
     labels = np.zeros(ground.inside.shape, np.int32)
     left = spread(
-        lambda first, last: _on_ground(pattern.labels, ground.voxels, ground.on_grid, labels, first, last),
-        len(ground.voxels), least=16384,
+        lambda first, last: _on_ground(pattern.labels, ground.spans, labels, first, last), len(ground.spans), least=512
     )  # fmt: skip
     empty = np.concatenate(left)
     before = -1
@@ -34,9 +33,7 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
-    # The last plane and line are empty, so a part may end anywhere.
-    planes, lines, _ = ground.inside.shape
-    found = spread(lambda first, last: _edges(labels, first, last), (planes - 1) * lines, least=1024)
+    found = spread(lambda first, last: _edges(labels, ground.reach, first, last), len(ground.reach), least=1024)
     edges = np.concatenate(found)
     faulty = spread(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=8192)
     changed = _join_diagonals(labels, edges, np.concatenate(faulty))
@@ -46,18 +43,18 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
 
 
 @njit(cache=True, nogil=True)
-def _on_ground(source, voxels, on_grid, labels, first, last):
-    """Write the labels of some voxels; the flat indices of those that have none."""
+def _on_ground(source, spans, labels, first, last):
+    """Write the labels of some spans of voxels; the flat indices of those that have none."""
     flat, grid = labels.reshape(-1), source.reshape(-1)
-    empty = np.empty(last - first, np.int64)
+    empty = np.empty(spans[first:last, 1].sum(), np.int64)
     count = 0
     for n in range(first, last):
-        label = grid[on_grid[n]] if on_grid[n] >= 0 else 0
-        if label > 0:
-            flat[voxels[n]] = label
-        else:
-            empty[count] = voxels[n]
-            count += 1
+        start, length, on_grid = spans[n]
+        for k in range(length if on_grid >= 0 else 0):
+            flat[start + k] = max(grid[on_grid + k], 0)
+        for k in range(length):
+            empty[count] = start + k
+            count += flat[start + k] == 0
     return empty[:count].copy()
 
 
@@ -104,37 +101,36 @@ def _grow(labels, empty, found, first, last):
 
 
 @njit(cache=True, nogil=True)
-def _edges(labels, first, last):
+def _edges(labels, reach, first, last):
     """The edges from voxels of some lines of the box to the next voxels along the axes that have another label.
 
     Most have none: so first a mark for each voxel, which takes no decisions, then those that are not zero."""
     lines, size = labels.shape[1], labels.shape[2]
-    marks = np.zeros((last - first, size), np.uint8)
-    count = 0
-    for n in range(first, last):
-        if n % lines < lines - 1:
-            i, j = n // lines, n % lines
-            count += _mark(labels[i, j], labels[i + 1, j], labels[i, j + 1], marks[n - first])
-    edges, hits = np.empty((count + 3, 2), np.int64), np.empty(size, np.int64)
+    edges, marks, hits = np.empty((256, 2), np.int64), np.empty(size, np.uint8), np.empty(size, np.int64)
     made = 0
     for n in range(first, last):
-        line, found = marks[n - first], 0
-        for k in range(size):
+        low, high = reach[n]
+        if low == high:
+            continue
+        i, j = n // lines, n % lines  # the last plane, line and voxel need no label: there is always a next one
+        _mark(labels[i, j], labels[i + 1, j], labels[i, j + 1], marks, low, high)
+        found = 0
+        for k in range(low, high):
             hits[found] = k
-            found += line[k] != 0
+            found += marks[k] != 0
+        while made + 3 * found + 3 > len(edges):
+            edges = np.concatenate((edges, np.empty_like(edges)))
         for h in range(found):
             for axis in range(3):
                 edges[made, 0], edges[made, 1] = n * size + hits[h], axis
-                made += line[hits[h]] >> axis & 1
-    return edges[:count]
+                made += marks[hits[h]] >> axis & 1
+    return edges[:made].copy()
 
 
 @njit(cache=True, nogil=True)
-def _mark(line, below, beside, marks):
-    """Bit 0, 1, 2 of each mark: whether that voxel of a line and its next one along the axis have two labels. Returns
-    how many bits are set."""
-    bits = 0
-    for k in range(len(line) - 1):
+def _mark(line, below, beside, marks, low, high):
+    """Bit 0, 1, 2 of some marks: whether that voxel of a line and its next one along the axis have two labels."""
+    for k in range(low, high):
         own, x, y, z = line[k], below[k], beside[k], line[k + 1]
         one, two, three = (
             (x != own) & (x != 0) & (own != 0),
@@ -142,8 +138,6 @@ def _mark(line, below, beside, marks):
             (z != own) & (z != 0) & (own != 0),
         )
         marks[k] = np.uint8(one | two << 1 | three << 2)
-        bits += one + two + three
-    return bits
 
 
 @njit(cache=True)

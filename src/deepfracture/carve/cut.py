@@ -136,7 +136,22 @@ def _faces(
         )
 
     (outer, source, cell), (inner, sides) = together(outside, within)
-    return Faces(positions, outer, source, cell, inner, sides)
+    plain = _plain(outer, inner, ground.plain, sheets.plain, n + v, len(positions))
+    return Faces(positions, outer, source, cell, inner, sides, plain)
+
+
+@njit(cache=True)
+def _plain(outer, inner, on_surface, on_sheets, nodes_from, count):
+    """See `Faces.plain`: what is said of the points of surface and sheets, less the points of faces with a node."""
+    plain = np.zeros(count, np.bool_)
+    plain[: len(on_surface)] = on_surface
+    plain[len(on_surface) : nodes_from] = on_sheets
+    for faces in (outer, inner):
+        for f in range(len(faces)):
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            if max(a, b, c) >= nodes_from:
+                plain[a] = plain[b] = plain[c] = False
+    return plain
 
 
 @njit(cache=True)

@@ -31,13 +31,16 @@ class Ground:
     """Vertices of each edge, the lower first, shape (e, 2)."""
     edge_of: Ints
     """The edge from each corner of a face to the next, shape (m, 3)."""
+    plain: NDArray[np.bool_]
+    """Vertices around which the faces are one fan, shape (n,)."""
     inside: NDArray[np.bool_]
     """Which voxel centres lie inside the mesh, shape (a, b, c)."""
-    voxels: NDArray[np.int32]
-    """Flat indices of the voxels that need a label, ascending: those inside, and all corners of the cubes that the
-    mesh touches, for then every crack in the body is closed. Shape (u,)."""
-    on_grid: NDArray[np.int32]
-    """Flat index of each of them on the grid, -1 past its border, shape (u,)."""
+    spans: NDArray[np.int32]
+    """The voxels that need a label: those inside, and all corners of the cubes that the mesh touches, for then every
+    crack in the body is closed. In spans along the last axis, ascending: flat index of the first, how many, and flat
+    index of the first on the grid, -1 past its border. Shape (u, 3)."""
+    reach: NDArray[np.int32]
+    """The first of them on each line along the last axis, and one past the last, 0 and 0 for none, shape (a b, 2)."""
     cubes: Ints
     """Flat index of a touched cube's first corner, ascending, shape (p,) ..."""
     touching: Ints
@@ -64,30 +67,44 @@ def _ground(mesh: Mesh, grid: Grid, name: str) -> Ground:
     cubes, touching = _touched(points[mesh.faces], np.array([a, b, c]))
     order = np.argsort(cubes, kind="stable")
     inside = winding_lattice(mesh, grid.to_world(low), grid.spacing, (a, b, c)) > 0
-    voxels, on_grid = _needed(inside, cubes, low, grid.resolution)
+    spans, reach = _needed(inside, cubes, low, grid.resolution)
     faces = np.array(mesh.faces)
-    return Ground(low, points, faces, edges, edge_of, inside, voxels, on_grid, cubes[order], touching[order])
+    plain = _one_fan(faces, edge_of, len(edges), len(points))
+    return Ground(low, points, faces, edges, edge_of, plain, inside, spans, reach, cubes[order], touching[order])
 
 
 @njit(cache=True)
 def _needed(inside, cubes, low, resolution):
-    """See `Ground.voxels` and `Ground.on_grid`."""
+    """See `Ground.spans` and `Ground.reach`."""
     needed = inside.copy()
-    flat, s1, s0 = needed.reshape(-1), needed.shape[2], needed.shape[1] * needed.shape[2]
+    flat, lines, size = needed.reshape(-1), needed.shape[1], needed.shape[2]
     for cube in cubes:
         for n in range(8):
-            flat[cube + (n >> 2) * s0 + (n >> 1 & 1) * s1 + (n & 1)] = True
-    voxels = np.empty(flat.sum(), np.int32)
-    on_grid = np.full(len(voxels), -1, np.int32)
+            flat[cube + (n >> 2) * lines * size + (n >> 1 & 1) * size + (n & 1)] = True
+    spans, reach = np.empty((64, 3), np.int32), np.zeros((needed.shape[0] * lines, 2), np.int32)
     count = 0
-    for v in range(len(flat)):
-        if flat[v]:
-            i, j, k = v // s0 + low[0], v // s1 % needed.shape[1] + low[1], v % s1 + low[2]
-            if min(i, j, k) >= 0 and max(i, j, k) < resolution:
-                on_grid[count] = (i * resolution + j) * resolution + k
-            voxels[count] = v
-            count += 1
-    return voxels, on_grid
+    for line in range(len(reach)):
+        i, j = line // lines + low[0], line % lines + low[1]
+        open_grid = -2  # -2: no span is open; else where the open one is on the grid, -1 past its border
+        for k in range(size):
+            v = line * size + k
+            if not flat[v]:
+                open_grid = -2
+                continue
+            on_grid = -1
+            if min(i, j, k + low[2]) >= 0 and max(i, j, k + low[2]) < resolution:
+                on_grid = (i * resolution + j) * resolution + k + low[2]
+            if open_grid == -2 or (open_grid < 0) != (on_grid < 0):
+                if count == len(spans):
+                    spans = np.concatenate((spans, np.empty_like(spans)))
+                spans[count, 0], spans[count, 1], spans[count, 2] = v, 0, on_grid
+                count += 1
+            open_grid = on_grid
+            spans[count - 1, 1] += 1
+            if reach[line, 1] == 0:
+                reach[line, 0] = k
+            reach[line, 1] = k + 1
+    return spans[:count].copy(), reach
 
 
 def _edges(mesh: Mesh, name: str) -> tuple[Ints, Ints]:
@@ -101,6 +118,32 @@ def _edges(mesh: Mesh, name: str) -> tuple[Ints, Ints]:
     if (count != 2).any() or along.any() or not mesh.volume > 0:
         raise BadInput(refusal)
     return np.stack(np.divmod(unique, len(mesh.vertices)), axis=1), which.reshape(-1, 3)
+
+
+@njit(cache=True)
+def _one_fan(faces, edge_of, edges, vertices):
+    """Whether the faces around each vertex hang together at their edges."""
+    first, twin = np.full(edges, -1), np.empty(3 * len(faces), np.int64)
+    for corner in range(3 * len(faces)):
+        edge = edge_of[corner // 3, corner % 3]
+        if first[edge] < 0:
+            first[edge] = corner
+        else:
+            twin[corner], twin[first[edge]] = first[edge], corner
+    around, start = np.zeros(vertices, np.int64), np.full(vertices, -1)
+    for corner in range(3 * len(faces)):
+        vertex = faces[corner // 3, corner % 3]
+        around[vertex] += 1
+        start[vertex] = corner
+    found = np.zeros(vertices, np.bool_)
+    for vertex in range(vertices):
+        at, count = start[vertex], 0
+        while at >= 0 and (count == 0 or at != start[vertex]):
+            back = twin[at]
+            at = back - 2 if back % 3 == 2 else back + 1
+            count += 1
+        found[vertex] = count == around[vertex]
+    return found
 
 
 @njit(cache=True)

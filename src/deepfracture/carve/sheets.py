@@ -7,11 +7,12 @@ from functools import lru_cache, partial
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from deepfracture.threads import spread
 from deepfracture.types import Floats, FracturePattern, Ints, Labels
 
-SMOOTHING_STEPS = 12
+SMOOTHING_STEPS = 3
 TRUST = 0.5
 """Pull of a vertex towards the crack crossings around it, against that of its neighbours."""
 REACH = 0.49
@@ -42,6 +43,8 @@ class Sheets:
     """The first triangle of each grid edge between two cells, and their number at the end, shape (q + 1,)."""
     around: Ints
     """The four cubes around that edge, as indices into `cubes`, shape (q, 4): they hold all of its triangles."""
+    plain: NDArray[np.bool_]
+    """Points around which the triangles of each cell are one fan, shape (v,)."""
 
 
 def crack_sheets(
@@ -61,18 +64,20 @@ def crack_sheets(
     """
     number = np.zeros(labels.size, np.int32)
     around, cubes = _cubes(labels.shape, edges, number)
-    base, start = np.empty((len(cubes), 3), np.int64), np.zeros((len(cubes) + 1, 3))
-    trusted, kind = np.empty(len(base)), np.empty(len(base), np.int32)
+    start, trusted = np.zeros((len(cubes) + 1, 3)), np.empty(len(cubes))
+    links = np.empty((len(cubes), 6), np.int32)
+    plain, odd = np.empty(len(cubes), np.bool_), np.empty(len(cubes), np.bool_)
     spread(
         lambda first, last: _place(
-            labels, pattern.labels, pattern.distance, low, cubes, base, start, trusted, kind, first, last
+            labels, pattern.labels, pattern.distance, low, cubes, number, ONE_LOOP, start, trusted, links, plain, odd,
+            first, last,
         ),
-        len(base), least=2048,
+        len(cubes), least=2048,
     )  # fmt: skip
-    points = _relaxed(start, trusted, _linked(labels, around, edges, base, kind))
+    points = _relaxed(start, trusted, links, odd)
     if grain > 0:
         rng = np.random.default_rng([seed, 1])
-        middle = base + 0.5
+        middle = np.floor(start[:-1]) + 0.5
         points = np.clip(points + rng.uniform(-grain, grain, points.shape), middle - REACH, middle + REACH)
     jitter = _jitter(seed, 1 << (len(points) + len(edges)).bit_length())
     points += jitter[: len(points)]
@@ -89,7 +94,8 @@ def crack_sheets(
         ),
         len(edges), least=4096,
     )  # fmt: skip
-    return Sheets(every, cubes, number, triangles, sides, quads, around)
+    plain = np.concatenate([plain, np.ones(middles[-1], np.bool_)])
+    return Sheets(every, cubes, number, triangles, sides, quads, around, plain)
 
 
 @lru_cache(maxsize=2)
@@ -121,30 +127,67 @@ def _cubes(shape, edges, number):
     return around, cubes[:count].copy()
 
 
+def _one_loop(corners: int) -> bool:
+    """Whether the surface around some of a cube's eight corners (bits) is one fan around a point in its middle.
+
+    On a face of the cube it crosses two edges, or none: edges that share faces make up its loops."""
+    crossed = [(n, axis) for n in range(8) for axis in range(3) if corners >> n & 1 != corners >> (n ^ 1 << axis) & 1]
+    crossed = [(n, axis) for n, axis in crossed if not n >> axis & 1]
+    seen, ahead = set(), crossed[:1]
+    while ahead:
+        n, axis = ahead.pop()
+        if (n, axis) in seen:
+            continue
+        seen.add((n, axis))
+        for other in range(3):  # the faces beside the edge lie across the two other axes
+            face = [edge for edge in crossed if edge[1] != other and (edge[0] ^ n) >> other & 1 == 0]
+            if other != axis and len(face) != 2:
+                return False
+            ahead += face if other != axis else []
+    return len(seen) == len(crossed)
+
+
+ONE_LOOP = np.array([_one_loop(corners) for corners in range(256)])
+"""For each set of corners, as the bits of a number: see `_one_loop`."""
+FACES = np.array([[sum(1 << n for n in range(8) if n >> 2 - axis & 1 == high) for high in (0, 1)] for axis in range(3)])
+"""The corners on a cube's faces as bits, corner n at (n >> 2, n >> 1 & 1, n & 1)."""
+
+
 @njit(cache=True, nogil=True)
-def _place(labels, source, distance, low, cubes, base, points, trusted, kind, first, last):
-    """First corner of some cubes, mean crossing of their edges at most `REACH` from their middle, share of the edges
-    whose crossing is known, number of cells."""
+def _place(
+    labels, source, distance, low, cubes, number, one_loop, points, trusted, links, plain, odd, first, last
+):  # fmt: skip
+    """What is known of some cubes: the mean crossing of their edges, at most `REACH` from their middle; the share of the
+    edges whose crossing is known; the neighbours towards which their vertices relax; `Sheets.plain`; and whether the sum of their indices is odd.
+
+    Vertices relax along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a
+    junction line (3) needs. Points where more meet have no neighbours, nor have the ends of a junction line; the number
+    of cubes stands for none."""
     s0, s1 = labels.shape[1] * labels.shape[2], labels.shape[2]
-    near, gap, seen = np.empty(8, np.int32), np.empty(8), np.empty(8, np.int32)
-    r = distance.shape[0]
+    flat, strides = labels.reshape(-1), (s0, s1, 1)
+    near, gap, names, bits = np.empty(8, np.int32), np.empty(8), np.empty(8, np.int32), np.empty(8, np.int64)
+    r, none = distance.shape[0], len(cubes)
     for v in range(first, last):
-        base[v, 0], base[v, 1], base[v, 2] = cubes[v] // s0, cubes[v] % s0 // s1, cubes[v] % s1
+        cube = cubes[v]
+        base = cube // s0, cube % s0 // s1, cube % s1
+        odd[v] = (base[0] + base[1] + base[2]) & 1 == 1
+        cells = 0
         for n in range(8):
-            i, j, k = base[v, 0] + (n >> 2), base[v, 1] + (n >> 1 & 1), base[v, 2] + (n & 1)
-            near[n] = labels[i, j, k]
-            i, j, k = i + low[0], j + low[1], k + low[2]
+            near[n] = flat[cube + (n >> 2) * s0 + (n >> 1 & 1) * s1 + (n & 1)]
+            i, j, k = base[0] + (n >> 2) + low[0], base[1] + (n >> 1 & 1) + low[1], base[2] + (n & 1) + low[2]
             known = 0 <= i < r and 0 <= j < r and 0 <= k < r and source[i, j, k] > 0
             gap[n] = distance[i, j, k] if known else 0.0
-        crossings, cracks, cells = 0, 0, 0
+            c = 0
+            while c < cells and names[c] != near[n]:
+                c += 1
+            if c == cells and near[n] != 0:
+                names[c], bits[c] = near[n], 0
+                cells += 1
+            if near[n] != 0:
+                bits[c] |= 1 << n
+        crossings, cracks = 0, 0
         x, y, z = 0.0, 0.0, 0.0
         for n in range(8):
-            fresh = near[n] != 0
-            for m in range(cells):
-                fresh = fresh and seen[m] != near[n]
-            if fresh:
-                seen[cells] = near[n]
-                cells += 1
             for bit in range(3):
                 m = n | 1 << bit
                 if m == n or near[m] == near[n] or near[n] == 0 or near[m] == 0:
@@ -158,73 +201,47 @@ def _place(labels, source, distance, low, cubes, base, points, trusted, kind, fi
                     z += at if bit == 0 else n & 1
         for a in range(3):
             mean = (x if a == 0 else y if a == 1 else z) / crossings if crossings else 0.5
-            place, middle = base[v, a] + mean, base[v, a] + 0.5
+            place, middle = base[a] + mean, base[a] + 0.5
             points[v, a] = min(max(place, middle - REACH), middle + REACH)
         trusted[v] = crossings / cracks if cracks else 0.0
-        kind[v] = cells
+        plain[v] = True
+        for c in range(cells):
+            plain[v] &= one_loop[bits[c]]
+        linked = 0
+        for n in range(6):
+            links[v, n] = none
+            meet = 0
+            for c in range(cells):
+                meet += bits[c] & FACES[n >> 1, n & 1] != 0
+            if cells <= 3 and meet >= cells:
+                beside = number[cube + (strides[n >> 1] if n & 1 else -strides[n >> 1])]
+                if beside > 0:
+                    links[v, n] = beside - 1
+                    linked += 1
+        if cells == 3 and linked < 2:
+            links[v] = none
 
 
-def _linked(labels: Labels, around: Ints, edges: Ints, base: Ints, kind: Labels) -> Labels:
-    """The neighbours each vertex relaxes towards, the number of vertices u for none, shape (u, 6).
+def _relaxed(start: Floats, trusted: Floats, links: Labels, odd: NDArray[np.bool_]) -> Floats:
+    """The vertices after `SMOOTHING_STEPS`; the last row of `start`, which stands for no neighbour, is zero.
 
-    Only along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a junction
-    line (3) needs. Points where more meet get none, nor do ends of a junction line."""
-    links = np.full((len(base), 6), len(base), np.int32)
-    spread(lambda first, last: _links(labels, around, edges, base, kind, links, first, last), len(edges), least=4096)
-    junction = np.flatnonzero(kind == 3)
-    links[junction[(links[junction] < len(base)).sum(axis=1) < 2]] = len(base)
-    return links
-
-
-@njit(cache=True, nogil=True)
-def _links(labels, around, edges, base, kind, links, first, last):
-    """Links across the faces of cubes at some edges. A face may be at several: they all say the same."""
-    flat, strides = labels.reshape(-1), (labels.shape[1] * labels.shape[2], labels.shape[2], 1)
-    for n in range(first, last):
-        axis = edges[n, 1]
-        for corner in range(4):
-            one, two = around[n, corner], around[n, (corner + 1) % 4]
-            # The first pair and the third lie side by side along the next axis, the others along the one after.
-            across = (axis + 1) % 3 if corner % 2 == 0 else (axis + 2) % 3
-            if base[one, across] > base[two, across]:
-                one, two = two, one
-            corner_of_face = base[two, 0] * strides[0] + base[two, 1] * strides[1] + base[two, 2]
-            cells = _cells_on_face(flat, corner_of_face, strides[(across + 1) % 3], strides[(across + 2) % 3])
-            for v, u, side in ((one, two, 1), (two, one, 0)):
-                if (kind[v] == 2 and cells >= 2) or (kind[v] == 3 and cells >= 3):
-                    links[v, 2 * across + side] = u
-
-
-@njit(cache=True, inline="always")
-def _cells_on_face(flat, a, p, q):
-    """Number of cells among the four voxels a, a + p, a + q, a + p + q."""
-    one, two, three, four = flat[a], flat[a + p], flat[a + q], flat[a + p + q]
-    count = 1 if one != 0 else 0
-    if two != 0 and two != one:
-        count += 1
-    if three != 0 and three != one and three != two:
-        count += 1
-    if four != 0 and four != one and four != two and four != three:
-        count += 1
-    return count
-
-
-def _relaxed(start: Floats, trusted: Floats, links: Labels) -> Floats:
-    """The vertices after `SMOOTHING_STEPS`; the last row of `start`, which stands for no neighbour, is zero."""
-    points, moved = start.copy(), start.copy()
-    for _ in range(SMOOTHING_STEPS):
-        spread(partial(_relax, points, start, trusted, links, moved), len(links), least=4096)
-        points, moved = moved, points
+    Cubes with an even sum of indices have odd neighbours only: each half follows the other (Gauss and Seidel, red and
+    black), which comes twice as far as all at once and may be shared by threads all the same."""
+    points = start.copy()
+    for half in [False, True] * SMOOTHING_STEPS:
+        spread(partial(_relax, points, start, trusted, links, odd, half), len(links), least=4096)
     return points[:-1]
 
 
 @njit(cache=True, nogil=True)
-def _relax(points, start, trusted, links, moved, first, last):
-    """One step of some vertices towards their neighbours' mean and their own start, into `moved`.
+def _relax(points, start, trusted, links, odd, half, first, last):
+    """One step of one half of some vertices to the mean of their neighbours and their own start.
 
     Absent neighbours add a zero: quicker than to ask which are absent."""
     none = len(links)
     for v in range(first, last):
+        if odd[v] != half:
+            continue
         count = 0
         x, y, z = 0.0, 0.0, 0.0
         for n in range(6):
@@ -234,13 +251,12 @@ def _relax(points, start, trusted, links, moved, first, last):
             z += points[u, 2]
             count += u < none
         if count == 0:
-            continue  # stays where it started, in both arrays
+            continue
         pull = TRUST * trusted[v]
         for a in range(3):
             mean = (x if a == 0 else y if a == 1 else z) / count
-            goal = pull * start[v, a] + (1 - pull) * mean
-            goal, middle = 0.5 * (points[v, a] + goal), np.floor(start[v, a]) + 0.5
-            moved[v, a] = min(max(goal, middle - REACH), middle + REACH)
+            goal, middle = pull * start[v, a] + (1 - pull) * mean, np.floor(start[v, a]) + 0.5
+            points[v, a] = min(max(goal, middle - REACH), middle + REACH)
 
 
 @njit(cache=True, nogil=True)

@@ -32,7 +32,7 @@ def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_fro
     source. An edge goes only if the cells on both sides of it remain what they were: every cell that meets at one of
     its points meets along all of it, and no two faces become one (link condition, Dey et al. 1999). Only edges at the
     points from `nodes_from` on are looked at, where cracks cross the surface."""
-    of_outer, of_inner = _near(faces.outer, faces.inner, nodes_from, len(faces.positions))
+    of_outer, of_inner = together(lambda: _near(faces.outer, faces.plain), lambda: _near(faces.inner, faces.plain))
     corners, sides, source = _gathered(
         faces.outer, faces.source, faces.cell, of_outer, faces.inner, faces.sides, of_inner
     )  # fmt: skip
@@ -84,25 +84,14 @@ def _put_back(faces, columns, of, corners):
     return left[:count], beside[:count]
 
 
-@njit(cache=True)
-def _near(outer, inner, nodes_from, count):
-    """The faces at a point of a face with a node, by their rows in both arrays."""
-    marked = np.zeros(count, np.bool_)
-    for faces in (outer, inner):
-        for f in range(len(faces)):
-            if max(faces[f, 0], faces[f, 1], faces[f, 2]) >= nodes_from:
-                marked[faces[f, 0]] = marked[faces[f, 1]] = marked[faces[f, 2]] = True
-    return _marked(outer, marked), _marked(inner, marked)
-
-
-@njit(cache=True)
-def _marked(faces, marked):
+@njit(cache=True, nogil=True)
+def _near(faces, plain):
+    """The faces at a point of a face with a node, and those at other points that are not plain."""
     found = np.empty(len(faces), np.int64)
     used = 0
     for f in range(len(faces)):
-        if marked[faces[f, 0]] or marked[faces[f, 1]] or marked[faces[f, 2]]:
-            found[used] = f
-            used += 1
+        found[used] = f
+        used += not (plain[faces[f, 0]] and plain[faces[f, 1]] and plain[faces[f, 2]])
     return found[:used].copy()
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +15,8 @@ from deepfracture.carve.crossing import NotGeneral
 from deepfracture.carve.join import root
 from deepfracture.threads import apportion
 from deepfracture.types import Floats, Ints, Mesh
+
+Flags = NDArray[np.bool_]
 
 FLAT = 1e-13
 """Share of the body's volume below which a shell is flat: nothing but rounding."""
@@ -43,6 +47,9 @@ class Faces:
     """Corners, counter-clockwise seen from the cell above, shape (k, 3)."""
     sides: Ints
     """Cells below and above, shape (k, 2)."""
+    plain: Flags
+    """Points around which the faces of each cell are one fan, as cells and mesh are there: these need no pairs of
+    edges to be told apart. Shape (p,)."""
 
 
 def solids(faces: Faces, smallest: float) -> list[Solid]:
@@ -61,8 +68,10 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     """The solids, and the edges, as points, that join the same two vertices of a solid twice, shape (d, 2)."""
     corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
     outer, inner = len(faces.outer), len(faces.inner)
-    twin, shell, first, volumes = _surfaces(faces.positions, corners, cell)
-    into = _solids_of_shells(faces.positions, corners, cell, shell, first, volumes, outer, inner, smallest)
+    marks = _Marks(len(faces.positions))
+    surfaces = _surfaces(faces.positions, corners, cell, faces.plain, marks)
+    shell, first = surfaces.shell, surfaces.first
+    into = _solids_of_shells(faces.positions, corners, cell, shell, first, surfaces.volumes, outer, inner, smallest)
     names = np.unique(into[into >= 0])
     names = names[np.lexsort([names, cell[first[names]]])]
     number = np.full(len(into) + 1, -1)
@@ -70,19 +79,53 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     solid = number[into][shell]
     goes, joined = _going(solid, outer, inner, len(names))
     order, face_start = _sorted(solid, goes, len(names))
+    twin, plain = surfaces.twin, faces.plain
     if joined.any():
-        twin = _relinked(twin, goes, outer, inner)
-    local = np.full(3 * len(corners), -1, np.int32)
+        guests = cell[first] != cell[first[into]]
+        plain = _without_corners(plain, corners, shell, guests)
+        _relink(surfaces, corners, goes, plain, outer, inner)
 
     def make(n: int) -> tuple[Solid, Ints]:
         own = order[face_start[n] : face_start[n + 1]]
-        fans, points = _numbered(corners, twin, own, local)
+        with marks.taken(3 * len(own)) as (scratch, base):
+            fans, points = _numbered(corners, twin, own, plain if joined[n] else faces.plain, scratch, base)
         positions, source = _taken(faces.positions, points, faces.source, own)
         twice = points[_doubles(fans, len(points))] if joined[n] else np.empty((0, 2), np.int64)
         return Solid(Mesh(positions, fans), source), twice
 
     pairs = apportion(make, np.diff(face_start).tolist())
     return [solid for solid, _ in pairs], np.concatenate([np.empty((0, 2), np.int64), *(twice for _, twice in pairs)])
+
+
+class _Marks:
+    """Numbers on points for whoever asks, a table for each thread: what others have written lies below the `base`."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._free: list[tuple[NDArray[np.int32], int]] = []
+
+    @contextmanager
+    def taken(self, room: int) -> Iterator[tuple[NDArray[np.int32], int]]:
+        """A table and its base; less than base + `room` may be written to it."""
+        try:
+            marks, base = self._free.pop()
+        except IndexError:
+            marks, base = np.zeros(self._count, np.int32), 1
+        if base > np.iinfo(np.int32).max - room:
+            marks, base = np.zeros(self._count, np.int32), 1
+        yield marks, base
+        self._free.append((marks, base + room))
+
+
+@njit(cache=True, nogil=True)
+def _without_corners(plain, corners, shell, guests):
+    """The plain points less those of some shells, which have joined the solid of another cell: there the faces of both
+    may be two fans."""
+    left = plain.copy()
+    for f in range(len(shell)):
+        if guests[shell[f]]:
+            left[corners[f, 0]] = left[corners[f, 1]] = left[corners[f, 2]] = False
+    return left
 
 
 def _doubles(faces: Ints, count: int) -> Ints:
@@ -122,7 +165,9 @@ def _halved(faces: Faces, edges: Ints) -> Faces:
     positions = np.concatenate([faces.positions, faces.positions[ends].mean(axis=1)])
     outer, of_outer = _halves(faces.outer, keys, count)
     inner, of_inner = _halves(faces.inner, keys, count)
-    return Faces(positions, outer, faces.source[of_outer], faces.cell[of_outer], inner, faces.sides[of_inner])
+    plain = np.concatenate([faces.plain, np.zeros(len(ends), np.bool_)])
+    plain[ends] = False
+    return Faces(positions, outer, faces.source[of_outer], faces.cell[of_outer], inner, faces.sides[of_inner], plain)
 
 
 def _halves(corners: Ints, keys: Ints, count: int) -> tuple[Ints, Ints]:
@@ -194,25 +239,47 @@ def _sorted(solid, goes, count):
     return order, start
 
 
-def _surfaces(positions: Floats, corners: NDArray, cell: NDArray) -> tuple[NDArray, NDArray, Ints, Floats]:
-    """The surfaces of all cells, which are closed.
+@dataclass(frozen=True, eq=False)
+class _Surfaces:
+    """The surfaces of all cells, which are closed."""
 
-    Returns for the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
-    surface; the number 0.. of the shell that each face belongs to; the first face of each shell; and its signed
-    volume [m^3]. Raises NotGeneral if some edge has none that runs back, or several."""
+    twin: NDArray
+    """For the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
+    surface, where one of its ends is not plain; anything for the others. Shape (3 f,)."""
+    shell: NDArray
+    """Number 0.. of the shell that each face belongs to, shape (f,)."""
+    first: Ints
+    """The first face of each shell, shape (s,) ..."""
+    volumes: Floats
+    """... and its signed volume [m^3]."""
+    cell: NDArray
+    """Number 0.. of the cell of each face, shape (f,)."""
+    order: Ints
+    """The faces, cell by cell, shape (f,) ..."""
+    start: Ints
+    """... and where each starts, and their number, shape (c + 1,)."""
+
+
+def _surfaces(positions: Floats, corners: NDArray, cell: NDArray, plain: Flags, marks: _Marks) -> _Surfaces:
+    """See there. Raises NotGeneral if an edge has none that runs back, or several."""
     if cell.max(initial=0) > len(cell):  # names, not numbers
         cell = np.unique(cell, return_inverse=True)[1].reshape(-1).astype(np.int32)
     cells = int(cell.max(initial=0)) + 1
     order, start = _sorted(cell, np.zeros(len(cell), np.bool_), cells)
     twin, shell = np.empty(3 * len(cell), np.int32), np.empty(len(cell), np.int32)
-    found = apportion(
-        lambda n: _closed(positions, corners, order[start[n] : start[n + 1]], twin, shell), np.diff(start).tolist()
-    )
+
+    def close(n: int) -> tuple[bool, Ints, Floats]:
+        own = order[start[n] : start[n + 1]]
+        with marks.taken(len(own)) as (scratch, base):
+            return _closed(positions, corners, own, plain, scratch, base, twin, shell)
+
+    found = apportion(close, np.diff(start).tolist())
     if not all(fine for fine, *_ in found):
         raise NotGeneral
     shells = np.array([len(first) for _, first, _ in found])
     _shift(shell, cell, np.cumsum(shells) - shells)
-    return twin, shell, np.concatenate([first for _, first, _ in found]), np.concatenate([v for *_, v in found])
+    first, volumes = (np.concatenate([part[n] for part in found]) for n in (1, 2))
+    return _Surfaces(twin, shell, first, volumes, cell, order, start)
 
 
 @njit(cache=True, nogil=True)
@@ -222,11 +289,24 @@ def _shift(shell, cell, by):
 
 
 @njit(cache=True, nogil=True)
-def _closed(positions, corners, own, twin, shell):
+def _closed(positions, corners, own, plain, marks, base, twin, shell):
     """Whether the surface of a cell is closed; the first face and the signed volume of each of its shells. Writes
-    `twin`, and `shell` from 0."""
+    `twin`, and `shell` from 0.
+
+    Faces hang together at plain points, and at edges elsewhere. `marks`: base + the first face at a plain point."""
     parent, first, volumes = np.empty(len(own), np.int32), np.empty(len(own), np.int64), np.zeros(len(own))
-    if not _paired(corners, own, twin, parent, len(positions)):
+    loose = 0
+    for i in range(len(own)):
+        parent[i] = i
+        for n in range(3):
+            p = corners[own[i], n]
+            if not plain[p]:
+                loose += 1
+            elif marks[p] < base:
+                marks[p] = base + i
+            else:
+                _join(parent, i, marks[p] - base)
+    if loose and not _paired(corners, own, plain, loose, twin, parent):
         return False, first[:0], volumes[:0]
     shells = 0
     for i in range(len(own)):
@@ -241,40 +321,53 @@ def _closed(positions, corners, own, twin, shell):
     return True, first[:shells].copy(), volumes[:shells] / 6
 
 
+@njit(cache=True, inline="always")
+def _join(parent, one, other):
+    one, other = root(parent, one), root(parent, other)
+    if one < other:
+        parent[other] = one
+    elif other < one:
+        parent[one] = other
+
+
 @njit(cache=True, nogil=True)
-def _paired(corners, own, twin, parent, count):
-    """Whether each edge of a cell's faces has exactly one that runs back: its twin, whose face joins its own.
+def _paired(corners, own, plain, loose, twin, parent):
+    """Whether each edge of a cell's faces with an end that is not plain has exactly one that runs back: its twin, whose
+    face joins its own. `loose`: corners of these faces that are not plain.
 
     In a table with open addresses an edge (`keys`) has the number of the first that ran along it, ~number if from the
     higher point, and the place of its face in `own`, -1 once its twin has come (`edges`)."""
     room = 16
-    while room < 3 * len(own):
+    while room < 2 * loose:  # two such corners at least belong to each edge that has a twin
         room *= 2
-    keys, edges = np.full(room, -1, np.int64), np.empty((room, 2), np.int32)
-    lonely = 0
+    keys, edges = np.full((room, 2), -1, np.int32), np.empty((room, 2), np.int32)
+    used, lonely = 0, 0
     for i in range(len(own)):
-        parent[i] = i
         a, b, c = corners[own[i], 0], corners[own[i], 1], corners[own[i], 2]
+        if plain[a] and plain[b] and plain[c]:
+            continue
         for n in range(3):
-            low, high = min(a, b), max(a, b)
-            edge, key = np.int32(3 * own[i] + n), np.int64(low) * count + high
-            # Neighbours meet nearby in the table; only what finds its place taken is sent far away.
-            at, step = (8 * low + (5 * high >> 1 & 7)) & (room - 1), (high * 0x9E3779B97F4A7C1) >> 20 | 1
-            while keys[at] >= 0 and keys[at] != key:
-                at = (at + step) & (room - 1)
-            if keys[at] < 0:
-                keys[at], edges[at, 0], edges[at, 1] = key, edge if a < b else ~edge, i
-                lonely += 1
-            else:
-                other = edges[at, 0] if a > b else ~edges[at, 0]
-                if other < 0 or edges[at, 1] < 0:
-                    return False
-                twin[edge], twin[other] = other, edge
-                one, two = root(parent, i), root(parent, edges[at, 1])
-                if one != two:
-                    parent[max(one, two)] = min(one, two)
-                edges[at, 1] = -1
-                lonely -= 1
+            if not (plain[a] and plain[b]):
+                low, high = min(a, b), max(a, b)
+                edge = np.int32(3 * own[i] + n)
+                # Neighbours meet nearby in the table; only what finds its place taken is sent far away.
+                at = np.int64(8 * np.int64(low) + (5 * np.int64(high) >> 1 & 7)) & (room - 1)
+                step = (np.int64(high) * 0x9E3779B97F4A7C1) >> 20 | 1
+                while keys[at, 0] >= 0 and (keys[at, 0] != low or keys[at, 1] != high):
+                    at = (at + step) & (room - 1)
+                if keys[at, 0] < 0:
+                    if used == loose:
+                        return False
+                    keys[at, 0], keys[at, 1], edges[at, 0], edges[at, 1] = low, high, edge if a < b else ~edge, i
+                    used, lonely = used + 1, lonely + 1
+                else:
+                    other = edges[at, 0] if a > b else ~edges[at, 0]
+                    if other < 0 or edges[at, 1] < 0:
+                        return False
+                    twin[edge], twin[other] = other, edge
+                    _join(parent, i, edges[at, 1])
+                    edges[at, 1] = -1
+                    lonely -= 1
             a, b, c = b, c, a
     return lonely == 0
 
@@ -389,38 +482,70 @@ def _join_dust(
     return ends[into]
 
 
+def _relink(surfaces: _Surfaces, corners: NDArray, goes: Flags, plain: Flags, outer: int, inner: int) -> None:
+    """Twins across the faces that go: the faces behind both sides of one meet. So the edges of the cells beside them
+    need pairs where their corners were plain, too."""
+    parted = np.zeros(len(surfaces.start) - 1, np.bool_)
+    parted[surfaces.cell[goes]] = True
+    cells = [surfaces.order[surfaces.start[n] : surfaces.start[n + 1]] for n in np.flatnonzero(parted)]
+    sizes = [len(own) for own in cells]
+    apportion(lambda n: _pair(corners, cells[n], plain, surfaces.twin), sizes)
+    apportion(lambda n: _bridge(corners, cells[n], plain, goes, outer, inner, surfaces.twin), sizes)
+
+
 @njit(cache=True, nogil=True)
-def _relinked(twin, goes, outer, inner):
-    """Twins across the faces that go: the faces behind both sides of one meet."""
-    linked = twin.copy()
-    for e in range(len(twin)):
-        other = twin[e]
-        if not goes[other // 3] or goes[e // 3]:
+def _pair(corners, own, plain, twin):
+    """Write the twins of a cell, which is known to be closed."""
+    parent, loose = np.empty(len(own), np.int32), 0
+    for i in range(len(own)):
+        parent[i] = i
+        for n in range(3):
+            loose += not plain[corners[own[i], n]]
+    _paired(corners, own, plain, loose, twin, parent)
+
+
+@njit(cache=True, nogil=True)
+def _bridge(corners, own, plain, goes, outer, inner, twin):
+    """Twins of the faces of a cell that stay where they were faces that go. Only twins of faces that go are read."""
+    for f in own:
+        if goes[f]:
             continue
-        while goes[other // 3]:
-            other = twin[3 * _mate(other // 3, outer, inner) + 2 - other % 3]
-        linked[e] = other
-    return linked
+        for n in range(3):
+            if plain[corners[f, n]] and plain[corners[f, (n + 1) % 3]]:
+                continue
+            other = twin[3 * f + n]
+            while goes[other // 3]:
+                other = twin[3 * _mate(other // 3, outer, inner) + 2 - other % 3]
+            twin[3 * f + n] = other
 
 
 @njit(cache=True, nogil=True)
-def _numbered(corners, twin, own, local):
-    """Corners of a solid's faces `own` by the solid's own vertices, one for each fan of faces around a point, shape
-    (m, 3), and the point of each vertex. `local`: scratch, -1 at the corners of these faces."""
+def _numbered(corners, twin, own, plain, marks, base):
+    """Corners of a solid's faces `own` by the solid's own vertices, shape (m, 3), and the point of each vertex: one for
+    each plain point, and else for each fan of faces around it.
+
+    `marks`: base + vertex of a plain point. The twin of a corner that is not plain becomes ~vertex."""
     faces, points = np.empty((len(own), 3), np.int64), np.empty(3 * len(own), np.int64)
     used = 0
     for f in range(len(own)):
         for n in range(3):
+            p = corners[own[f], n]
+            if plain[p]:
+                if marks[p] < base:
+                    marks[p], points[used] = base + used, p
+                    used += 1
+                faces[f, n] = marks[p] - base
+                continue
             corner = 3 * own[f] + n
-            if local[corner] < 0:
-                points[used] = corners[own[f], n]
+            if twin[corner] >= 0:
+                points[used] = p
                 at = corner
-                while local[at] < 0:
-                    local[at] = used
+                while twin[at] >= 0:
                     back = twin[at]
+                    twin[at] = ~used
                     at = back - 2 if back % 3 == 2 else back + 1
                 used += 1
-            faces[f, n] = local[corner]
+            faces[f, n] = ~twin[corner]
     return faces, points[:used].copy()
 
 
