@@ -22,6 +22,9 @@ S = TypeVar("S")
 PARTS = 3
 """Parts for each thread: who is done early, or is not held up by other programs, takes more of them."""
 
+UNEVEN = 12
+"""The same, where nobody knows how long a part takes."""
+
 BLOCK = 2048
 """Rows of a block of `product`."""
 
@@ -89,13 +92,13 @@ def thread_count() -> int:
     return int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
-def spread(job: Callable[[int, int], T], count: int, *, least: int) -> list[T]:
+def spread(job: Callable[[int, int], T], count: int, *, least: int, uneven: bool = False) -> list[T]:
     """`job(first, last)` of consecutive parts of range(count), side by side; the results in their order.
 
     What comes out must not depend on the parts. Below 2 `least` it is one part, done at once; so it is inside another
-    shared work."""
+    shared work. Where some parts take much longer than others (`uneven`) there are more of them."""
     threads = thread_count()
-    parts = min(PARTS * threads, count // least)
+    parts = min((UNEVEN if uneven else PARTS) * threads, count // least)
     if parts < 2 or threads < 2 or getattr(_busy, "here", False):
         return [job(0, count)]
     return _shared([_part(job, count * n // parts, count * (n + 1) // parts) for n in range(parts)], threads)

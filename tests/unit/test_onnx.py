@@ -57,7 +57,10 @@ def labels_of(model: Model, coefficients: np.ndarray) -> np.ndarray:
     body, lattice, r = model.body, model.body.lattice, model.body.grid.resolution
     labels = np.zeros((r + 2,) * 3, np.int16)
     leaders = _leaders(coefficients)
-    _divide(coefficients, leaders, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels)
+    _divide(
+        coefficients, leaders, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels,
+        0, len(lattice.cells),
+    )  # fmt: skip
     return labels[1:-1, 1:-1, 1:-1]
 
 

@@ -119,7 +119,7 @@ def cross(ground: Ground, sheets: Sheets) -> Crossing:
             ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
             start, members, first, last,
         ),
-        len(sheets.around), least=1024,
+        len(sheets.around), least=256, uneven=True,
     )  # fmt: skip
     if any(failed for failed, _ in found):
         raise NotGeneral

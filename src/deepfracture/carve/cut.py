@@ -7,15 +7,15 @@ from numba import njit
 
 from deepfracture.carve.cells import cell_labels
 from deepfracture.carve.crossing import INSIDE, OUTSIDE, Crossing, NotGeneral, cross, edge_codes
-from deepfracture.carve.divide import crossed_triangles, divide
+from deepfracture.carve.divide import Surface, divide
 from deepfracture.carve.ground import Ground, ground_of
 from deepfracture.carve.sheets import Sheets, crack_sheets
 from deepfracture.carve.sides import sheet_walls, surface_cells
 from deepfracture.carve.slivers import without_short_edges
 from deepfracture.carve.solids import Faces, Solid, solids
-from deepfracture.geometry import mass_properties
+from deepfracture.geometry import moments, properties_of
 from deepfracture.progress import stage
-from deepfracture.threads import apportion, together
+from deepfracture.threads import together
 from deepfracture.types import (
     BadInput,
     FracturePattern,
@@ -80,12 +80,10 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float, roughness: fl
             f"{shape.name}: cannot be cut: its surface crosses itself or degenerates where cracks cross it; "
             "try --repair"
         )
-    sizes = [len(piece.mesh.faces) for piece in pieces]
-    return Fragments(tuple(apportion(lambda n: _fragment(pieces[n], density), sizes)))
+    return Fragments(tuple(_fragment(piece, density) for piece in pieces))
 
 
 def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Sheets) -> list[Solid]:
-    whole = Solid(mesh, np.arange(len(mesh.faces)))
     with stage("cross"):
         crossing = cross(ground, sheets)
         cells, walls = together(
@@ -96,11 +94,15 @@ def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Shee
         faces = without_short_edges(
             faces, SHORT * grid.spacing, len(mesh.vertices), len(mesh.vertices) + len(sheets.points)
         )
-    if not len(faces.inner):
-        return [whole]
-    with stage("solids"):
-        pieces = solids(faces, DUST_VOXELS * grid.spacing**3)
-    return pieces if len(pieces) > 1 else [whole]
+    pieces: list[Solid] = []
+    if len(faces.inner):
+        with stage("solids"):
+            pieces = solids(faces, DUST_VOXELS * grid.spacing**3)
+    return pieces if len(pieces) > 1 else [_whole(mesh)]
+
+
+def _whole(mesh: Mesh) -> Solid:
+    return Solid(mesh, np.arange(len(mesh.faces)), *moments(mesh.vertices, mesh.faces, mesh.vertices[0]))
 
 
 def _faces(
@@ -113,29 +115,26 @@ def _faces(
         crossing.share,
     )  # fmt: skip
 
-    def outside() -> tuple[Ints, Ints, Ints]:
-        parts = divide(
-            crossed_triangles(
-                ground.faces, cells, lambda crossed: ground.edge_of[crossed], crossing.surface_nodes,
-                crossing.on_faces, 0, n + v,
-            ),
-            positions, unwanted=0,
-        )  # fmt: skip
-        return _outer(ground.faces, cells, crossing.on_faces.triangle, parts.corners, parts.label, parts.parent)
-
-    def within() -> tuple[Ints, Ints]:
-        parts = divide(
-            crossed_triangles(
-                sheets.triangles, walls, lambda crossed: edge_codes(sheets.triangles[crossed], v),
-                crossing.sheet_nodes, crossing.on_sheets, n, n + v,
-            ),
-            positions, unwanted=OUTSIDE,
-        )  # fmt: skip
-        return _inner(
-            sheets.triangles, sheets.sides, walls, crossing.on_sheets.triangle, parts.corners, parts.parent, n
-        )
-
-    (outer, source, cell), (inner, sides) = together(outside, within)
+    parts = divide(
+        Surface(
+            ground.faces, cells, lambda names: ground.edge_of[names], crossing.surface_nodes, crossing.on_faces,
+            0, n + v,
+        ),
+        positions, unwanted=0,
+    )  # fmt: skip
+    outer, source, cell = _outer(
+        ground.faces, cells, crossing.on_faces.triangle, parts.corners, parts.label, parts.parent
+    )  # fmt: skip
+    parts = divide(
+        Surface(
+            sheets.triangles, walls, lambda names: edge_codes(sheets.triangles[names], v), crossing.sheet_nodes,
+            crossing.on_sheets, n, n + v,
+        ),
+        positions, unwanted=OUTSIDE,
+    )  # fmt: skip
+    inner, sides = _inner(
+        sheets.triangles, sheets.sides, walls, crossing.on_sheets.triangle, parts.corners, parts.parent, n
+    )
     plain = _plain(outer, inner, ground.plain, sheets.plain, n + v, len(positions))
     return Faces(positions, outer, source, cell, inner, sides, plain)
 
@@ -215,5 +214,5 @@ def _inner(triangles, sides, walls, crossed, corners, parent, shift):
 
 
 def _fragment(piece: Solid, density: float) -> Fragment:
-    mass = mass_properties(piece.mesh, density)
+    mass = properties_of(piece.volume, piece.first, piece.second, piece.mesh.vertices[0], density)
     return Fragment(piece.mesh, piece.source, mass.mass, mass.centre, mass.inertia)

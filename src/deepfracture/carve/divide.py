@@ -7,9 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import EdgeNodes, NotGeneral, Segments, edge_at, edge_table
+from deepfracture.threads import spread
 from deepfracture.types import Floats, Ints
+
+Flags = NDArray[np.bool_]
 
 FLIPS = 8
 """Diagonals flipped for each triangle of a polygon, at most."""
@@ -30,72 +34,106 @@ class Division:
 
 
 @dataclass(frozen=True, eq=False)
-class Crossed:
-    """Triangles that are crossed, and by what. All points are rows of one table of positions."""
+class Surface:
+    """The triangles of one surface, of which some are crossed. All points are rows of one table of positions."""
 
     triangles: Ints
-    """Names of the triangles, shape (t,)."""
-    corners: Ints
-    """Shape (t, 3)."""
+    """Vertices, shape (t, 3)."""
     labels: Ints
-    """At the corners, shape (t, 3)."""
-    rim_start: Ints
-    """Where the nodes on each side (from a corner to the next) start, and their number, shape (3 t + 1,)."""
-    rim: Ints
-    """Nodes, in the order of the side, shape (r,) ..."""
-    beyond: Ints
-    """... and the label after each, shape (r,)."""
-    start: Ints
-    """Where each triangle's segments start, and their number, shape (t + 1,)."""
-    tail: Ints
-    head: Ints
-    """Points of the segments, shape (k,)."""
-    left: Ints
-    right: Ints
-    """Labels on both sides of them, shape (k,)."""
+    """Of the vertices."""
+    codes: Callable[[Ints], Ints]
+    """Gives the codes of the edges from each corner to the next of some triangles."""
+    nodes: EdgeNodes
+    """Those on the edges."""
+    segments: Segments
+    """Between nodes."""
+    first: int
+    """Row of the first vertex in the table of positions ..."""
+    first_node: int
+    """... and of the first node."""
 
 
-def crossed_triangles(
-    triangles: Ints,
-    labels: Ints,
-    codes: Callable[[Ints], Ints],
-    nodes: EdgeNodes,
-    segments: Segments,
-    first: int,
-    first_node: int,
-) -> Crossed:
-    """The triangles with segments.
+def divide(surface: Surface, positions: Floats, *, unwanted: int) -> Division:
+    """Parts of the triangles that segments cross, without those of the label `unwanted`.
 
-    Args:
-        triangles: Vertices of all triangles, shape (t, 3).
-        labels: Of the vertices.
-        codes: Gives the codes of the edges from each corner to the next of some triangles.
-        nodes: Those on the edges.
-        segments: Between nodes.
-        first, first_node: Rows of the first vertex and the first node in the table of positions.
-    """
-    order = np.argsort(segments.triangle * len(segments.triangle) + np.arange(len(segments.triangle)))
-    names, start = np.unique(segments.triangle[order], return_index=True)
-    corners = triangles[names]
-    rim_start, rim, beyond = _rims(
-        codes(names), corners < np.roll(corners, -1, axis=1), nodes.edges, nodes.start, nodes.nodes, nodes.before,
-        nodes.after,
-    )  # fmt: skip
-    tail, head, left, right = (
-        column[order] for column in (segments.tail, segments.head, segments.left, segments.right)
-    )
-    return Crossed(
-        names, corners + first, labels[corners], rim_start, rim + first_node, beyond, np.append(start, len(order)),
-        tail + first_node, head + first_node, left, right,
-    )  # fmt: skip
+    Raises NotGeneral if segments and labels contradict each other."""
+    segments, nodes = surface.segments, surface.nodes
+    names, start, order = _by_triangle(segments.triangle, len(surface.triangles))
+    codes, table = surface.codes(names), edge_table(nodes.edges)
+
+    def part(first: int, last: int) -> tuple[Ints, Ints, Ints]:
+        loops, loop_start, label, parent, bounded, flat, corners, of = _parts(
+            positions, surface.triangles, surface.labels, names, codes, table, nodes.edges, nodes.start, nodes.nodes,
+            nodes.before, nodes.after, start, order, segments.tail, segments.head, segments.left, segments.right,
+            surface.first, surface.first_node, unwanted, first, last,
+        )  # fmt: skip
+        if len(loop_start) == 0:
+            raise NotGeneral
+        if not bounded.all():
+            corners, of = _with_holes(loops, loop_start, flat, label, parent, bounded, label != unwanted)
+        return corners, label[of], names[first:last][parent[of]]
+
+    parts = spread(part, len(names), least=256)
+    return Division(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 @njit(cache=True, nogil=True)
-def _rims(codes, forward, edges, start, nodes, before, after):
+def _parts(
+    positions, triangles, labels, names, codes, table, edges, node_start, nodes, before, after, start, order, tail,
+    head, left, right, shift, shift_node, unwanted, first, last,
+):  # fmt: skip
+    """Of some of the triangles: what `_trace` gives, what `_projected` does, and what `_ears` does if no polygon may be
+    a hole."""
+    corners, inside = np.empty((last - first, 3), np.int64), np.empty((last - first, 3), np.int64)
+    forward = np.empty((last - first, 3), np.bool_)
+    for t in range(first, last):
+        for n in range(3):
+            here, there = triangles[names[t], n], triangles[names[t], (n + 1) % 3]
+            corners[t - first, n], inside[t - first, n], forward[t - first, n] = (
+                here + shift,
+                labels[here],
+                here < there,
+            )
+    rim_start, rim, beyond = _rims(codes[first:last], forward, table, edges, node_start, nodes, before, after)
+    own = order[start[first] : start[last]]
+    loops, loop_start, label, parent, bounded = _trace(
+        corners, inside, rim_start, rim + shift_node, beyond, start[first : last + 1] - start[first],
+        tail[own] + shift_node, head[own] + shift_node, left[own], right[own],
+    )  # fmt: skip
+    flat = _projected(positions, corners[parent], loops, loop_start)
+    made, of = np.empty((0, 3), np.int64), np.empty(0, np.int64)
+    if len(loop_start) and bounded.all():
+        made, of = _ears(loops, loop_start, flat, label != unwanted)
+    return loops, loop_start, label, parent, bounded, flat, made, of
+
+
+@njit(cache=True, nogil=True)
+def _by_triangle(triangle, count):
+    """The triangles with segments; where those of each start; and their order."""
+    place = np.zeros(count + 1, np.int32)
+    for t in triangle:
+        place[t + 1] += 1
+    names, start = np.empty(len(triangle), np.int64), np.zeros(len(triangle) + 1, np.int64)
+    found = 0
+    for t in range(count):
+        if place[t + 1]:
+            names[found] = t
+            start[found + 1] = start[found] + place[t + 1]
+            place[t + 1] = start[found + 1]
+            found += 1
+    order = np.empty(len(triangle), np.int64)
+    for s in range(len(triangle) - 1, -1, -1):
+        place[triangle[s] + 1] -= 1
+        order[place[triangle[s] + 1]] = s
+    return names[:found].copy(), start[: found + 1].copy(), order
+
+
+@njit(cache=True, nogil=True)
+def _rims(codes, forward, table, edges, start, nodes, before, after):
     """The nodes on the sides of triangles, in the order of each side, and the labels after them."""
     rim_start = np.zeros(3 * len(codes) + 1, np.int64)
     rim, beyond = np.empty(16, np.int64), np.empty(16, np.int64)
-    table, count = edge_table(edges), 0
+    count = 0
     for t in range(len(codes)):
         for n in range(3):
             at = edge_at(table, edges, codes[t, n])
@@ -114,31 +152,10 @@ def _rims(codes, forward, edges, start, nodes, before, after):
     return rim_start, rim[:count], beyond[:count]
 
 
-def divide(crossed: Crossed, positions: Floats, *, unwanted: int) -> Division:
-    """Parts of the crossed triangles, without those of the label `unwanted`.
-
-    Raises NotGeneral if segments and labels contradict each other."""
-    failed, loops, loop_start, label, parent, bounded = _trace(
-        crossed.corners, crossed.labels, crossed.rim_start, crossed.rim, crossed.beyond, crossed.start,
-        crossed.tail, crossed.head, crossed.left, crossed.right,
-    )  # fmt: skip
-    if failed:
-        raise NotGeneral
-    wanted = label != unwanted
-    flat = _projected(positions, crossed.corners[parent], loops, loop_start)
-    simple, holed = _with_holes(flat, loop_start, label, parent, bounded)
-    corners, of = _ears(loops, loop_start, flat, simple & wanted)
-    parts = [(corners, of)]
-    for outer, holes in holed:
-        if wanted[outer]:
-            parts.append(_around_holes(loops, loop_start, flat, outer, holes))
-    corners, of = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Division(corners, label[of], crossed.triangles[parent[of]])
-
-
 @njit(cache=True, nogil=True)
 def _trace(corners, labels, rim_start, rim, beyond, start, tail, head, left, right):
-    """All closed polygons with one label inside, as loops of points with the inside on the left.
+    """All closed polygons with one label inside, as loops of points with the inside on the left; no starts of loops if
+    segments and labels contradict each other.
 
     At every point one line at most leaves with a given label on its left, so labels lead around each polygon."""
     room = 6 * len(corners) + 2 * len(rim) + 2 * len(tail)
@@ -158,7 +175,7 @@ def _trace(corners, labels, rim_start, rim, beyond, start, tail, head, left, rig
                 here, inside = rim[r], beyond[r]
                 made += 1
             if inside != labels[t, (n + 1) % 3]:
-                return True, loops, loop_start, label, parent, bounded
+                return loops, loop_start[:0], label, parent, bounded
             origin[made], target[made], name[made] = here, corners[t, (n + 1) % 3], inside
             made += 1
         rims = made
@@ -179,13 +196,13 @@ def _trace(corners, labels, rim_start, rim, beyond, start, tail, head, left, rig
                 used += 1
                 at = following[at]
                 if at < 0:
-                    return True, loops, loop_start, label, parent, bounded
+                    return loops, loop_start[:0], label, parent, bounded
             if at != first:
-                return True, loops, loop_start, label, parent, bounded
+                return loops, loop_start[:0], label, parent, bounded
             label[count], parent[count], bounded[count] = name[first], t, on_rim
             count += 1
             loop_start[count] = used
-    return False, loops[:used], loop_start[: count + 1], label[:count], parent[:count], bounded[:count]
+    return loops[:used], loop_start[: count + 1], label[:count], parent[:count], bounded[:count]
 
 
 @njit(cache=True)
@@ -235,9 +252,9 @@ def _projected(positions, corners, loops, loop_start):
 
 
 def _with_holes(
-    flat: Floats, loop_start: Ints, label: Ints, parent: Ints, bounded: np.ndarray
-) -> tuple[np.ndarray, list[tuple[int, list[int]]]]:
-    """Which loops are simple polygons, and those with holes with the loops of their holes."""
+    loops: Ints, loop_start: Ints, flat: Floats, label: Ints, parent: Ints, bounded: Flags, wanted: Flags
+) -> tuple[Ints, Ints]:
+    """Triangles of the polygons that are wanted, some of which have holes, and the loop of each."""
     simple = np.ones(len(label), np.bool_)
     outer_of: dict[int, list[int]] = {}
     for hole in np.flatnonzero(~bounded):
@@ -254,7 +271,15 @@ def _with_holes(
             raise NotGeneral
         outer_of.setdefault(min(around)[1], []).append(int(hole))
     simple[list(outer_of)] = False
-    return simple, sorted(outer_of.items())
+    parts = [_ears(loops, loop_start, flat, simple & wanted)]
+    parts += [
+        _around_holes(loops, loop_start, flat, outer, holes)
+        for outer, holes in sorted(outer_of.items())
+        if wanted[outer]
+    ]
+    corners, of = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(of, kind="stable")  # so that nothing depends on which triangles are looked at together
+    return corners[order], of[order]
 
 
 def _area(loop: Floats) -> float:

@@ -157,69 +157,95 @@ FACES = np.array([[sum(1 << n for n in range(8) if n >> 2 - axis & 1 == high) fo
 def _place(
     labels, source, distance, low, cubes, number, one_loop, points, trusted, links, plain, odd, first, last
 ):  # fmt: skip
-    """What is known of some cubes: the mean crossing of their edges, at most `REACH` from their middle; the share of the
-    edges whose crossing is known; the neighbours towards which their vertices relax; `Sheets.plain`; and whether the sum of their indices is odd.
-
-    Vertices relax along the sheets between cells: across a face of the cube with as many cells as a sheet (2) or a
-    junction line (3) needs. Points where more meet have no neighbours, nor have the ends of a junction line; the number
-    of cubes stands for none."""
+    """What is known of some cubes: see `_mean_crossing`, `_neighbours` and `Sheets.plain`; and whether the sum of the
+    indices is odd."""
     s0, s1 = labels.shape[1] * labels.shape[2], labels.shape[2]
     flat, strides = labels.reshape(-1), (s0, s1, 1)
     near, gap, names, bits = np.empty(8, np.int32), np.empty(8), np.empty(8, np.int32), np.empty(8, np.int64)
-    r, none = distance.shape[0], len(cubes)
     for v in range(first, last):
-        cube = cubes[v]
-        base = cube // s0, cube % s0 // s1, cube % s1
-        odd[v] = (base[0] + base[1] + base[2]) & 1 == 1
-        cells = 0
+        i, j, k = cubes[v] // s0, cubes[v] % s0 // s1, cubes[v] % s1
+        odd[v] = (i + j + k) & 1 == 1
         for n in range(8):
-            near[n] = flat[cube + (n >> 2) * s0 + (n >> 1 & 1) * s1 + (n & 1)]
-            i, j, k = base[0] + (n >> 2) + low[0], base[1] + (n >> 1 & 1) + low[1], base[2] + (n & 1) + low[2]
-            known = 0 <= i < r and 0 <= j < r and 0 <= k < r and source[i, j, k] > 0
-            gap[n] = distance[i, j, k] if known else 0.0
-            c = 0
-            while c < cells and names[c] != near[n]:
-                c += 1
-            if c == cells and near[n] != 0:
-                names[c], bits[c] = near[n], 0
-                cells += 1
-            if near[n] != 0:
-                bits[c] |= 1 << n
-        crossings, cracks = 0, 0
-        x, y, z = 0.0, 0.0, 0.0
-        for n in range(8):
-            for bit in range(3):
-                m = n | 1 << bit
-                if m == n or near[m] == near[n] or near[n] == 0 or near[m] == 0:
-                    continue
-                cracks += 1
-                if gap[n] > 0 and gap[m] > 0:
-                    crossings += 1
-                    at = min(max(gap[n] / (gap[n] + gap[m]), EDGE), 1 - EDGE)
-                    x += at if bit == 2 else n >> 2
-                    y += at if bit == 1 else n >> 1 & 1
-                    z += at if bit == 0 else n & 1
-        for a in range(3):
-            mean = (x if a == 0 else y if a == 1 else z) / crossings if crossings else 0.5
-            place, middle = base[a] + mean, base[a] + 0.5
-            points[v, a] = min(max(place, middle - REACH), middle + REACH)
-        trusted[v] = crossings / cracks if cracks else 0.0
+            near[n] = flat[cubes[v] + (n >> 2) * s0 + (n >> 1 & 1) * s1 + (n & 1)]
+        cells = _cells(near, names, bits)
+        _gaps(source, distance, i + low[0], j + low[1], k + low[2], gap)
+        trusted[v] = _mean_crossing(near, gap, (i, j, k), points[v])
         plain[v] = True
         for c in range(cells):
             plain[v] &= one_loop[bits[c]]
-        linked = 0
-        for n in range(6):
-            links[v, n] = none
-            meet = 0
-            for c in range(cells):
-                meet += bits[c] & FACES[n >> 1, n & 1] != 0
-            if cells <= 3 and meet >= cells:
-                beside = number[cube + (strides[n >> 1] if n & 1 else -strides[n >> 1])]
-                if beside > 0:
-                    links[v, n] = beside - 1
-                    linked += 1
-        if cells == 3 and linked < 2:
-            links[v] = none
+        _neighbours(bits[:cells], cubes[v], strides, number, len(cubes), links[v])
+
+
+@njit(cache=True, inline="always")
+def _cells(near, names, bits):
+    """Number of cells at a cube's corners; the corners of each as bits, its name as `names` has it."""
+    cells = 0
+    for n in range(8):
+        if near[n] == 0:
+            continue
+        c = 0
+        while c < cells and names[c] != near[n]:
+            c += 1
+        if c == cells:
+            names[c], bits[c] = near[n], 0
+            cells += 1
+        bits[c] |= 1 << n
+    return cells
+
+
+@njit(cache=True, inline="always")
+def _gaps(source, distance, i, j, k, gap):
+    """Distances to the cracks at a cube's corners, 0 where they are not known."""
+    r = distance.shape[0]
+    for n in range(8):
+        x, y, z = i + (n >> 2), j + (n >> 1 & 1), k + (n & 1)
+        known = 0 <= x < r and 0 <= y < r and 0 <= z < r and source[x, y, z] > 0
+        gap[n] = distance[x, y, z] if known else 0.0
+
+
+@njit(cache=True, inline="always")
+def _mean_crossing(near, gap, base, point):
+    """Write the mean crossing of a cube's edges, at most `REACH` from its middle; the share of the edges whose crossing
+    is known."""
+    crossings, cracks = 0, 0
+    x, y, z = 0.0, 0.0, 0.0
+    for n in range(8):
+        for bit in range(3):
+            m = n | 1 << bit
+            if m == n or near[m] == near[n] or near[n] == 0 or near[m] == 0:
+                continue
+            cracks += 1
+            if gap[n] > 0 and gap[m] > 0:
+                crossings += 1
+                at = min(max(gap[n] / (gap[n] + gap[m]), EDGE), 1 - EDGE)
+                x += at if bit == 2 else n >> 2
+                y += at if bit == 1 else n >> 1 & 1
+                z += at if bit == 0 else n & 1
+    for a in range(3):
+        mean = (x if a == 0 else y if a == 1 else z) / crossings if crossings else 0.5
+        place, middle = base[a] + mean, base[a] + 0.5
+        point[a] = min(max(place, middle - REACH), middle + REACH)
+    return crossings / cracks if cracks else 0.0
+
+
+@njit(cache=True, inline="always")
+def _neighbours(bits, cube, strides, number, none, links):
+    """The neighbours towards which a cube's vertex relaxes: along the sheets between cells, across a face with as many
+    cells as a sheet (2) or a junction line (3) needs. Points where more meet have `none`, nor have ends of a junction
+    line."""
+    linked = 0
+    for n in range(6):
+        links[n] = none
+        meet = 0
+        for corners in bits:
+            meet += corners & FACES[n >> 1, n & 1] != 0
+        if len(bits) <= 3 and meet == len(bits):
+            beside = number[cube + (strides[n >> 1] if n & 1 else -strides[n >> 1])]
+            if beside > 0:
+                links[n] = beside - 1
+                linked += 1
+    if len(bits) == 3 and linked < 2:
+        links[:] = none
 
 
 def _relaxed(start: Floats, trusted: Floats, links: Labels, odd: NDArray[np.bool_]) -> Floats:

@@ -56,7 +56,9 @@ def sheet_walls(ground: Ground, sheets: Sheets, crossing: Crossing) -> Ints:
     nodes = crossing.sheet_nodes
     touched = np.zeros(len(sheets.triangles), np.bool_)
     touched[crossing.on_sheets.triangle] = True
-    group = _groups_of_triangles(len(sheets.points), sheets.triangles, touched, nodes.edges)
+    group = _groups_of_triangles(
+        len(sheets.points), sheets.triangles, sheets.quads, sheets.around, touched, nodes.edges
+    )
     sides = _names(group, np.stack(np.divmod(nodes.edges, len(sheets.points)), axis=1), nodes)
 
     def walls(cube: Ints) -> tuple[Floats, Ints]:
@@ -88,19 +90,23 @@ def _groups(count, edges):
 
 
 @njit(cache=True, nogil=True)
-def _groups_of_triangles(count, triangles, touched, cut):
+def _groups_of_triangles(count, triangles, quads, around, touched, cut):
     """The same along the edges of triangles that no node lies on; `cut` are the codes of the others, all of them of
     triangles that are `touched`."""
     parent, table = np.arange(count).astype(np.int32), edge_table(cut)
-    for t in range(len(triangles)):
-        if not touched[t]:
-            _join(parent, triangles[t, 0], triangles[t, 1])
-            _join(parent, triangles[t, 1], triangles[t, 2])
+    for q in range(len(around)):
+        whole = quads[q + 1] - quads[q] == 2
+        for t in range(quads[q], quads[q + 1]):
+            whole = whole and not touched[t]
+        if whole:
+            for n in range(3):
+                _join(parent, around[q, n], around[q, n + 1])
             continue
-        for n in range(3):
-            a, b = triangles[t, n], triangles[t, (n + 1) % 3]
-            if edge_at(table, cut, edge_code(a, b, count)) < 0:
-                _join(parent, a, b)
+        for t in range(quads[q], quads[q + 1]):
+            for n in range(3):
+                a, b = triangles[t, n], triangles[t, (n + 1) % 3]
+                if not touched[t] or edge_at(table, cut, edge_code(a, b, count)) < 0:
+                    _join(parent, a, b)
     for v in range(count):
         parent[v] = parent[parent[v]]
     return parent
@@ -108,9 +114,10 @@ def _groups_of_triangles(count, triangles, touched, cut):
 
 @njit(cache=True, inline="always")
 def _join(parent, one, other):
-    a, b = root(parent, one), root(parent, other)
-    if a != b:
-        parent[max(a, b)] = min(a, b)
+    if parent[one] != parent[other]:
+        a, b = root(parent, one), root(parent, other)
+        if a != b:
+            parent[max(a, b)] = min(a, b)
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
 from deepfracture.carve.join import root
-from deepfracture.threads import apportion
+from deepfracture.geometry import moments
+from deepfracture.threads import apportion, spread
 from deepfracture.types import Floats, Ints, Mesh
 
 Flags = NDArray[np.bool_]
@@ -29,6 +30,12 @@ class Solid:
     mesh: Mesh
     source: Ints
     """As in `Fragment.source`."""
+    volume: float
+    """[m^3]"""
+    first: Floats
+    """Integral of x [m^4], shape (3,) ..."""
+    second: Floats
+    """... and of x x^T [m^5], shape (3, 3), both about its first vertex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +73,14 @@ def solids(faces: Faces, smallest: float) -> list[Solid]:
 
 def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     """The solids, and the edges, as points, that join the same two vertices of a solid twice, shape (d, 2)."""
-    corners, cell = _half_faces(faces.outer, faces.cell, faces.inner, faces.sides)
     outer, inner = len(faces.outer), len(faces.inner)
+    corners, cell = np.empty((outer + 2 * inner, 3), np.int32), np.empty(outer + 2 * inner, np.int32)
+    spread(
+        lambda first, last: _half_faces(
+            faces.outer, faces.cell, faces.inner, faces.sides, corners, cell, first, last
+        ),
+        outer + inner, least=16384,
+    )  # fmt: skip
     marks = _Marks(len(faces.positions))
     surfaces = _surfaces(faces.positions, corners, cell, faces.plain, marks)
     shell, first = surfaces.shell, surfaces.first
@@ -76,9 +89,9 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     names = names[np.lexsort([names, cell[first[names]]])]
     number = np.full(len(into) + 1, -1)
     number[names] = np.arange(len(names))
-    solid = number[into][shell]
-    goes, joined = _going(solid, outer, inner, len(names))
-    order, face_start = _sorted(solid, goes, len(names))
+    solid = number[into]
+    goes, joined = _going(shell, solid, outer, inner, len(names))
+    order, face_start = _sorted(shell, solid, goes, len(names))
     twin, plain = surfaces.twin, faces.plain
     if joined.any():
         guests = cell[first] != cell[first[into]]
@@ -88,10 +101,11 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     def make(n: int) -> tuple[Solid, Ints]:
         own = order[face_start[n] : face_start[n + 1]]
         with marks.taken(3 * len(own)) as (scratch, base):
-            fans, points = _numbered(corners, twin, own, plain if joined[n] else faces.plain, scratch, base)
-        positions, source = _taken(faces.positions, points, faces.source, own)
+            vertices, fans, points, source, mass = _solid(
+                faces.positions, faces.source, corners, twin, own, plain if joined[n] else faces.plain, scratch, base
+            )
         twice = points[_doubles(fans, len(points))] if joined[n] else np.empty((0, 2), np.int64)
-        return Solid(Mesh(positions, fans), source), twice
+        return Solid(Mesh(vertices, fans), source, *mass), twice
 
     pairs = apportion(make, np.diff(face_start).tolist())
     return [solid for solid, _ in pairs], np.concatenate([np.empty((0, 2), np.int64), *(twice for _, twice in pairs)])
@@ -187,19 +201,18 @@ def _halves(corners: Ints, keys: Ints, count: int) -> tuple[Ints, Ints]:
 
 
 @njit(cache=True, nogil=True)
-def _half_faces(outer, cell, inner, sides):
-    """Corners and cell of each face of each cell: the outer ones, the inner ones as the cell below them has them,
-    and as the one above has them. `_mate` leads from one to the other."""
+def _half_faces(outer, cell, inner, sides, corners, cells, first, last):
+    """Write corners and cell of each face of each cell: the outer ones, the inner ones as the cell below them has them,
+    and as the one above has them, for some of the outer and inner faces. `_mate` leads from one to the other."""
     m, k = len(outer), len(inner)
-    corners, cells = np.empty((m + 2 * k, 3), np.int32), np.empty(m + 2 * k, np.int32)
-    for f in range(m):
-        corners[f, 0], corners[f, 1], corners[f, 2] = outer[f]
+    for f in range(first, min(last, m)):
+        corners[f, 0], corners[f, 1], corners[f, 2] = outer[f, 0], outer[f, 1], outer[f, 2]
         cells[f] = cell[f]
-    for f in range(k):
-        corners[m + f, 0], corners[m + f, 1], corners[m + f, 2] = inner[f]
-        corners[m + k + f, 0], corners[m + k + f, 1], corners[m + k + f, 2] = inner[f, 0], inner[f, 2], inner[f, 1]
-        cells[m + f], cells[m + k + f] = sides[f, 0], sides[f, 1]
-    return corners, cells
+    for f in range(max(first, m), last):
+        a, b, c = inner[f - m, 0], inner[f - m, 1], inner[f - m, 2]
+        corners[f, 0], corners[f, 1], corners[f, 2] = a, b, c
+        corners[k + f, 0], corners[k + f, 1], corners[k + f, 2] = a, c, b
+        cells[f], cells[k + f] = sides[f - m, 0], sides[f - m, 1]
 
 
 @njit(cache=True, inline="always")
@@ -211,31 +224,35 @@ def _mate(face, outer, inner):
 
 
 @njit(cache=True, nogil=True)
-def _going(solid, outer, inner, count):
-    """Which faces go: those between two parts of a solid, and flat debris; and which solids have such parts."""
-    goes, joined = solid < 0, np.zeros(count, np.bool_)
+def _going(shell, solid, outer, inner, count):
+    """Which faces go: those between two parts of a solid, and flat debris; and which solids have such parts. `solid`:
+    of each shell, -1 for flat debris."""
+    goes, joined = np.empty(len(shell), np.bool_), np.zeros(count, np.bool_)
+    for f in range(outer):
+        goes[f] = solid[shell[f]] < 0
     for f in range(outer, outer + inner):
-        if solid[f] == solid[f + inner]:
-            goes[f] = goes[f + inner] = True
-            if solid[f] >= 0:
-                joined[solid[f]] = True
+        one, two = solid[shell[f]], solid[shell[f + inner]]
+        goes[f], goes[f + inner] = one < 0 or one == two, two < 0 or one == two
+        if one == two and one >= 0:
+            joined[one] = True
     return goes, joined
 
 
 @njit(cache=True, nogil=True)
-def _sorted(solid, goes, count):
-    """The faces that stay, solid by solid, and where each starts."""
+def _sorted(names, number, goes, count):
+    """The faces that stay, by the numbers of their names, and where those of each number start."""
     start = np.zeros(count + 1, np.int64)
-    for f in range(len(solid)):
+    for f in range(len(names)):
         if not goes[f]:
-            start[solid[f] + 1] += 1
+            start[number[names[f]] + 1] += 1
     for n in range(count):
         start[n + 1] += start[n]
-    place, order = start[:-1].copy(), np.empty(start[-1], np.int64)
-    for f in range(len(solid)):
+    place, order = start[:-1].copy(), np.empty(start[-1], np.int32)
+    for f in range(len(names)):
         if not goes[f]:
-            order[place[solid[f]]] = f
-            place[solid[f]] += 1
+            n = number[names[f]]
+            order[place[n]] = f
+            place[n] += 1
     return order, start
 
 
@@ -254,7 +271,7 @@ class _Surfaces:
     """... and its signed volume [m^3]."""
     cell: NDArray
     """Number 0.. of the cell of each face, shape (f,)."""
-    order: Ints
+    order: NDArray[np.int32]
     """The faces, cell by cell, shape (f,) ..."""
     start: Ints
     """... and where each starts, and their number, shape (c + 1,)."""
@@ -265,7 +282,7 @@ def _surfaces(positions: Floats, corners: NDArray, cell: NDArray, plain: Flags, 
     if cell.max(initial=0) > len(cell):  # names, not numbers
         cell = np.unique(cell, return_inverse=True)[1].reshape(-1).astype(np.int32)
     cells = int(cell.max(initial=0)) + 1
-    order, start = _sorted(cell, np.zeros(len(cell), np.bool_), cells)
+    order, start = _sorted(cell, np.arange(cells), np.zeros(len(cell), np.bool_), cells)
     twin, shell = np.empty(3 * len(cell), np.int32), np.empty(len(cell), np.int32)
 
     def close(n: int) -> tuple[bool, Ints, Floats]:
@@ -297,7 +314,7 @@ def _closed(positions, corners, own, plain, marks, base, twin, shell):
     parent, first, volumes = np.empty(len(own), np.int32), np.empty(len(own), np.int64), np.zeros(len(own))
     loose = 0
     for i in range(len(own)):
-        parent[i] = i
+        parent[i] = head = np.int32(i)
         for n in range(3):
             p = corners[own[i], n]
             if not plain[p]:
@@ -305,7 +322,10 @@ def _closed(positions, corners, own, plain, marks, base, twin, shell):
             elif marks[p] < base:
                 marks[p] = base + i
             else:
-                _join(parent, i, marks[p] - base)
+                other = root(parent, marks[p] - base)
+                if other != head:
+                    parent[max(head, other)] = min(head, other)
+                    head = min(head, other)
     if loose and not _paired(corners, own, plain, loose, twin, parent):
         return False, first[:0], volumes[:0]
     shells = 0
@@ -395,9 +415,13 @@ def _solids_of_shells(
     """The shell whose solid each shell belongs to in the end, -1 for flat debris."""
     flat = FLAT * np.abs(volumes).sum()
     into = np.arange(len(volumes))
-    for void in np.flatnonzero(volumes < -flat).tolist():
-        around = np.flatnonzero((cell[first] == cell[first[void]]) & (volumes > flat))
-        into[void] = _holder(positions, corners, shell, void, around[np.argsort(volumes[around])])
+    voids = np.flatnonzero(volumes < -flat)
+    low, high = _boxes(positions, corners, shell, len(volumes)) if len(voids) else (positions, positions)
+    for void in voids.tolist():
+        point = positions[corners[first[void], 0]]
+        boxed = (low <= point).all(axis=1) & (high >= point).all(axis=1)
+        around = np.flatnonzero((cell[first] == cell[first[void]]) & (volumes > flat) & boxed)
+        into[void] = _holder(positions, corners, shell, point, around[np.argsort(volumes[around])])
     whole = np.zeros(len(into))
     np.add.at(whole, into, volumes)
     small = (whole < smallest) & (into == np.arange(len(into)))
@@ -430,16 +454,26 @@ def _touching(positions, corners, into, shell, small, outer, inner):
     return pairs[:count], area[:count]
 
 
-def _holder(positions: Floats, corners: NDArray, shell: NDArray, void: int, around: Ints) -> int:
-    """The smallest of the shells `around`, in ascending order, that holds a void."""
+@njit(cache=True, nogil=True)
+def _boxes(positions, corners, shell, count):
+    """The lowest and the highest coordinates of each shell, shape (count, 3) each."""
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for f in range(len(shell)):
+        for n in range(3):
+            for x in range(3):
+                value = positions[corners[f, n], x]
+                low[shell[f], x] = min(low[shell[f], x], value)
+                high[shell[f], x] = max(high[shell[f], x], value)
+    return low, high
+
+
+def _holder(positions: Floats, corners: NDArray, shell: NDArray, point: Floats, around: Ints) -> int:
+    """The smallest of the shells `around`, in ascending order, that holds a point of a void."""
     if not len(around):
         raise NotGeneral
-    point = positions[corners[np.flatnonzero(shell == void)[0], 0]]
-    for candidate in around[:-1]:
-        triangles = positions[corners[shell == candidate]]
-        boxed = (triangles.min(axis=(0, 1)) <= point).all() and (triangles.max(axis=(0, 1)) >= point).all()
-        if boxed and _encloses(triangles, point):
-            return int(candidate)
+    for candidate in around[:-1].tolist():
+        if _encloses(positions[corners[shell == candidate]], point):
+            return candidate
     return int(around[-1])
 
 
@@ -520,14 +554,17 @@ def _bridge(corners, own, plain, goes, outer, inner, twin):
 
 
 @njit(cache=True, nogil=True)
-def _numbered(corners, twin, own, plain, marks, base):
-    """Corners of a solid's faces `own` by the solid's own vertices, shape (m, 3), and the point of each vertex: one for
-    each plain point, and else for each fan of faces around it.
+def _solid(positions, source, corners, twin, own, plain, marks, base):
+    """Vertices and faces of a solid, the point of each vertex, the source of each face (-1 of cracks), and its moments
+    about its first vertex.
 
+    A vertex for each plain point, and else for each fan of faces around it. `own`: the solid's faces, in `corners`;
     `marks`: base + vertex of a plain point. The twin of a corner that is not plain becomes ~vertex."""
     faces, points = np.empty((len(own), 3), np.int64), np.empty(3 * len(own), np.int64)
+    come_from = np.empty(len(own), np.int64)
     used = 0
     for f in range(len(own)):
+        come_from[f] = source[own[f]] if own[f] < len(source) else -1
         for n in range(3):
             p = corners[own[f], n]
             if plain[p]:
@@ -546,16 +583,8 @@ def _numbered(corners, twin, own, plain, marks, base):
                     at = back - 2 if back % 3 == 2 else back + 1
                 used += 1
             faces[f, n] = ~twin[corner]
-    return faces, points[:used].copy()
-
-
-@njit(cache=True, nogil=True)
-def _taken(positions, points, source, own):
-    """The positions of a solid's vertices, and the source of each of its faces `own`, -1 of cracks."""
-    taken, come_from = np.empty((len(points), 3)), np.empty(len(own), np.int64)
-    for n in range(len(points)):
+    vertices = np.empty((used, 3))
+    for n in range(used):
         for x in range(3):
-            taken[n, x] = positions[points[n], x]
-    for f in range(len(own)):
-        come_from[f] = source[own[f]] if own[f] < len(source) else -1
-    return taken, come_from
+            vertices[n, x] = positions[points[n], x]
+    return vertices, faces, points[:used].copy(), come_from, moments(vertices, faces, vertices[0])

@@ -12,7 +12,7 @@ from deepfracture.geometry.distance import (
     voxels_inside,
     winding_lattice,
 )
-from deepfracture.geometry.mass import MassProperties, mass_properties
+from deepfracture.geometry.mass import MassProperties, mass_properties, moments, properties_of
 from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.read import check_solid, load_shape, read_mesh, read_triangles
 from deepfracture.geometry.remesh import remesh
@@ -33,7 +33,9 @@ __all__ = [
     "faults",
     "load_shape",
     "mass_properties",
+    "moments",
     "normalise",
+    "properties_of",
     "read_mesh",
     "read_triangles",
     "remesh",

@@ -29,22 +29,27 @@ def mass_properties(mesh: Mesh, density: float) -> MassProperties:
 
     Signed tetrahedra from a point inside the box to every triangle; second moments of a
     tetrahedron as in Tonon 2004. Raises BadInput for density <= 0 or volume <= 0."""
-    if not 0 < density < np.inf:
-        raise BadInput(f"density must be positive and finite, got {density}")
     # Near the mesh, so that far-off bodies lose no digits.
     pivot = mesh.vertices[mesh.faces[0, 0]] if len(mesh.faces) else np.zeros(3)
-    volume, first, second = _moments(mesh.vertices, mesh.faces, pivot)
+    volume, first, second = moments(mesh.vertices, mesh.faces, pivot)
+    return properties_of(volume, first, second, pivot, density)
+
+
+def properties_of(volume: float, first: Floats, second: Floats, pivot: Floats, density: float) -> MassProperties:
+    """Mass properties from `moments` about a pivot. Raises BadInput for density <= 0 or volume <= 0."""
+    if not 0 < density < np.inf:
+        raise BadInput(f"density must be positive and finite, got {density}")
     if not volume > 0:
         raise BadInput(f"the mesh encloses a volume of {volume:.3g}; it must be closed and face outward")
     centre = first / volume
-    moments = second - volume * np.outer(centre, centre)
-    inertia = density * (np.trace(moments) * np.eye(3) - moments)
+    second = second - volume * np.outer(centre, centre)
+    inertia = density * (np.trace(second) * np.eye(3) - second)
     return MassProperties(volume, density * volume, centre + pivot, (inertia + inertia.T) / 2)
 
 
 @njit(cache=True, nogil=True)
-def _moments(vertices: Floats, faces: Ints, pivot: Floats):  # pragma: no cover
-    """Volume and the integrals of x and x x^T about the pivot.
+def moments(vertices: Floats, faces: Ints, pivot: Floats):  # pragma: no cover
+    """Volume and the integrals of x and x x^T about a pivot, of a closed mesh that faces outward.
 
     For a tetrahedron with one corner there they are volume / 4 * sum of corners c, and
     volume / 20 * (sum of c c^T + (sum of c) (sum of c)^T)."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.encode import mark_parted
 from deepfracture.learn.lattice import Lattice
+from deepfracture.threads import spread
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 
 CRUMB = 30 / 64**3
@@ -79,18 +80,33 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
     scores = np.ascontiguousarray(scores, np.float32)
     r, lattice = body.grid.resolution, body.lattice
     labels = np.zeros((r + 2, r + 2, r + 2), np.int16)
-    _divide(
-        scores, _leaders(scores), lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels
-    )
+    leaders = _leaders(scores)
+    spread(
+        lambda first, last: _divide(
+            scores, leaders, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels,
+            first, last,
+        ),
+        len(lattice.cells), least=512,
+    )  # fmt: skip
     _sweep_crumbs(labels, body.runs, max(2, round(CRUMB * r**3)), scores.shape[1])
     cuts = np.zeros((r, r, r), np.uint8)
-    beside = _part(labels, body.runs, cuts)
+    beside = np.concatenate(
+        spread(lambda first, last: _part(labels, body.runs[first:last], cuts), len(body.runs), least=1024)
+    )
     distance = np.full(labels.shape, np.float32(FAR))
-    _at_cracks(labels, scores, beside, lattice.number, lattice.cell, lattice.weights, distance)
+    spread(
+        lambda first, last: _at_cracks(
+            labels, scores, beside[first:last], lattice.number, lattice.cell, lattice.weights, distance
+        ),
+        len(beside), least=1024,
+    )  # fmt: skip
     due = np.full(distance.size, False)
     _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes, beside, due)
     values = body.surface.copy()
-    _take_nearer(values, distance, body.runs, np.float32(body.grid.spacing))
+    spacing = np.float32(body.grid.spacing)
+    spread(
+        lambda first, last: _take_nearer(values, distance, body.runs[first:last], spacing), len(body.runs), least=4096
+    )
     return Volume(body.grid, values, cuts)
 
 
@@ -130,9 +146,9 @@ def _leaders(scores):
     return leaders
 
 
-@njit(cache=True)
-def _divide(scores, leaders, cells, number, start, weights, surface, labels):
-    """Give each voxel inside to the channel of the greatest spline, as the label 1 above the channel.
+@njit(cache=True, nogil=True)
+def _divide(scores, leaders, cells, number, start, weights, surface, labels, first, last):
+    """Give each voxel inside some cells to the channel of the greatest spline, as the label 1 above the channel.
 
     A spline lies between the least and the greatest of the coefficients that it depends on. So a channel
     whose coefficients are all below those of another has no voxel of the cell; mostly one is left."""
@@ -141,7 +157,7 @@ def _divide(scores, leaders, cells, number, start, weights, surface, labels):
     near = np.empty((3, 3, 3), np.float32)
     widest = np.diff(start).max()
     best = np.empty((widest, widest, widest), np.float32)
-    for n in range(len(cells)):
+    for n in range(first, last):
         cell = cells[n, 0], cells[n, 1], cells[n, 2]
         low = start[cell[0]], start[cell[1]], start[cell[2]]
         high = start[cell[0] + 1], start[cell[1] + 1], start[cell[2] + 1]
@@ -162,7 +178,7 @@ def _divide(scores, leaders, cells, number, start, weights, surface, labels):
             _raise(near, rivals[m] + 1, weights, low, high, best, surface, labels)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _rivals(scores, leaders, number, cell, ahead, rivals):
     """Channels that can be the greatest somewhere in the cell, in `rivals`; returns how many.
 
@@ -193,7 +209,7 @@ def _rivals(scores, leaders, number, cell, ahead, rivals):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _raise(near, label, weights, low, high, best, surface, labels):
     """Give the voxels of a cell where the spline `near` is above `best` to its label, an axis at a time."""
     plane = np.empty((3, 3), np.float32)
@@ -304,7 +320,7 @@ def _first(piece, n):
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _part(labels, runs, cuts):
     """Mark the `cuts` (zero on entry); returns the voxels inside that one parts from another, shape (n, 3)."""
     beside = np.empty((np.sum(runs[:, 3] - runs[:, 2]), 3), np.int32)
@@ -328,7 +344,7 @@ def _part(labels, runs, cuts):
     return beside[:count].copy()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _at_cracks(labels, scores, beside, number, cell, weights, distance):
     """Distance to the crack [voxels] for the voxels `beside` one.
 
@@ -356,7 +372,7 @@ def _at_cracks(labels, scores, beside, number, cell, weights, distance):
         distance[i + 1, j + 1, k + 1] = 1 / np.sqrt(total)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _ahead(scores, number, cell, weights, mine, other, i, j, k):
     """By how much channel `mine` is above `other` at voxel (i, j, k), 0 if it is not."""
     value = np.float32(0.0)
@@ -443,7 +459,7 @@ def _update(distance, voxel, side, surface):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _take_nearer(values, distance, runs, spacing):
     """Lower the distance to the surface [m] inside to that to the crack where that is smaller."""
     for n in range(len(runs)):
