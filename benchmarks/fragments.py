@@ -2,8 +2,8 @@
 
 For every field: no crash; every fragment is one closed 2-manifold solid without self-intersection; the volumes add up;
 the outside is the original's; each inner face has its mirror image in one neighbour. See
-`deepfracture.validation.fragments` for what is measured and for the limits. Files that are not closed are repaired, or
-named as refused.
+`deepfracture.validation.fragments` for what is measured and for the limits. Files that are not closed, or whose surface
+runs through itself, are repaired, or named as refused.
 
 The fields: what a model predicts, what was simulated, Voronoi cells, Voronoi cells blurred by noise in their
 distances and flooded, blobs and white noise of labels, scraps, checkerboards, and hostile ones. Field n of a kind
@@ -32,6 +32,7 @@ from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.export.files import replacing
 from deepfracture.fracture import material
 from deepfracture.geometry import BUILTIN, load_shape, signed_distance
+from deepfracture.geometry.untangle import crossing_faces
 from deepfracture.learn import Model, embedded_model, load_model, predict
 from deepfracture.progress import log, track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Ints, Shape, Volume
@@ -203,9 +204,12 @@ def shapes_by_name(data: Path) -> dict[str, Callable[[], tuple[Shape, str]]]:
 
     def opened(path: Path) -> tuple[Shape, str]:
         try:
-            return load_shape(str(path)), "closed"
+            shape = load_shape(str(path))
         except BadInput:
             return load_shape(str(path), repair=True), "repaired"
+        if len(crossing_faces(shape.mesh)):  # as the warning says that it is to be done
+            return load_shape(str(path), repair=True), "repaired"
+        return shape, "closed"
 
     made: dict[str, Callable[[], tuple[Shape, str]]] = {}
     made.update({name: lambda name=name: (load_shape(name), "built in") for name in BUILTIN})

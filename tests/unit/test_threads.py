@@ -10,8 +10,9 @@ import pytest
 from deepfracture import threads
 from deepfracture.carve import cut
 from deepfracture.geometry import builtin, signed_distance
+from deepfracture.learn import embedded_model, load_model, predict
 from deepfracture.threads import apportion, one_blas_thread, product, spread, together
-from deepfracture.types import FracturePattern, Grid
+from deepfracture.types import FracturePattern, Grid, Impact
 
 
 @pytest.fixture(autouse=True)
@@ -131,3 +132,19 @@ def test_a_cut_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -
         np.testing.assert_array_equal(one.mesh.faces, other.mesh.faces)
         np.testing.assert_array_equal(one.source, other.source)
         assert one.mass == other.mass
+
+
+def test_a_prediction_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = load_model(embedded_model("pot"))
+    impact = Impact([[1, 0, 0.3]], [[-1, 0, 0]], [3000.0], [[1, 0, 0]], 10.0, 0.2)
+    shared = predict(model, impact, np.random.default_rng(0))
+    monkeypatch.setattr(threads, "thread_count", lambda: 1)
+    alone = predict(model, impact, np.random.default_rng(0))
+    assert shared.cuts.any()
+    assert shared.values.tobytes() == alone.values.tobytes() and shared.cuts.tobytes() == alone.cuts.tobytes()
+
+
+def test_uneven_work_comes_in_more_parts() -> None:
+    even, uneven = spread(span, 5000, least=1), spread(span, 5000, least=1, uneven=True)
+    assert flat(even) == flat(uneven) == list(range(5000))
+    assert len(uneven) > 2 * len(even)
