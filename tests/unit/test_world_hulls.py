@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull, Delaunay
 
-from deepfracture.geometry import builtin, signed_distance_points
-from deepfracture.types import Mesh
+from deepfracture.carve import cut
+from deepfracture.geometry import builtin, signed_distance, signed_distance_points
+from deepfracture.types import FracturePattern, Grid, Mesh
 from deepfracture.world.convex import between, clip, corners, hull, planes, volume
 from deepfracture.world.hulls import PIECE_EXCESS, WHOLE_PARTS, piece_hulls, whole_hulls
+
+THIN = 1e-3
+"""No hull that an engine gets is thinner [m]: what is flat gets `PIECE_SAG`, of which neighbours may cut off a little."""
 
 
 @pytest.mark.parametrize(("name", "air"), [("bar", 1e-6), ("mug", 0.1), ("pot", 0.17), ("letter_a", 0.08)])
@@ -141,3 +146,22 @@ def test_hulls_of_neighbours_do_not_overlap() -> None:
             assert plane[4] < 1e-3
     for hulls in (one, two):
         assert abs(hulls.excess) < PIECE_EXCESS
+
+
+@pytest.mark.parametrize(("name", "blur"), [("pot", 0.0), ("plate", 1.0), ("chair", 0.0)])
+def test_no_hull_is_thin_however_thin_the_triangles_of_its_fragment_are(name: str, blur: float) -> None:
+    """Noise leaves slivers of 1e-9 voxels in the fragments; an engine gets hulls of a millimetre at least."""
+    shape, grid, rng = builtin(name), Grid(32), np.random.default_rng(0)
+    noise = [gaussian_filter(n, blur) for n in rng.normal(size=(5, *grid.shape))]
+    labels = (1 + np.argmax(noise, axis=0)) * (signed_distance(shape.mesh, grid) > 0)
+    distance = rng.uniform(0, grid.spacing, grid.shape).astype(np.float32)
+    fragments = cut(shape, FracturePattern(grid, labels, distance), density=1000.0)
+    hulls = [points for found in piece_hulls([piece.mesh for piece in fragments]) for points in found.points]
+    assert len(hulls) > 100
+    assert min(_width(points) for points in hulls) > THIN
+
+
+def _width(points: np.ndarray) -> float:
+    """Least distance of a face from the point across it [m]."""
+    sides = ConvexHull(points).equations
+    return float((-(sides[:, :3] @ points.T + sides[:, 3:])).max(axis=1).min())
