@@ -21,6 +21,15 @@ def root(parent: np.ndarray, region: int) -> int:
     return region
 
 
+@njit(cache=True, inline="always")
+def unite(parent: np.ndarray, one: int, other: int) -> None:
+    """Make one region of two: the lower name stays."""
+    if parent[one] != parent[other]:
+        a, b = root(parent, one), root(parent, other)
+        if a != b:
+            parent[max(a, b)] = min(a, b)
+
+
 def joined(values: np.ndarray, cuts: np.ndarray, smallest: int) -> Labels:
     """Regions 1..n of the voxels of positive value that hang together across faces that are not cut, 0 elsewhere,
     int32.
@@ -101,8 +110,7 @@ def _connect(parent, lines, spans, behind, here, bits, bit):
         end = min(spans[m, 1], spans[n, 1])
         for k in range(max(spans[m, 0], spans[n, 0]), end):
             if not bits[k] & bit:
-                one, other = root(parent, m), root(parent, n)
-                parent[max(one, other)] = min(one, other)
+                unite(parent, m, n)
                 break
         if spans[m, 1] == end:
             m += 1

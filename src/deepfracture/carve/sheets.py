@@ -69,8 +69,8 @@ def crack_sheets(
     plain, odd = np.empty(len(cubes), np.bool_), np.empty(len(cubes), np.bool_)
     spread(
         lambda first, last: _place(
-            labels, pattern.labels, pattern.distance, low, cubes, number, ONE_LOOP, start, trusted, links, plain, odd,
-            first, last,
+            labels, pattern.labels, pattern.distance, low, cubes, number, start, trusted, links, plain, odd, first,
+            last,
         ),
         len(cubes), least=2048,
     )  # fmt: skip
@@ -155,7 +155,7 @@ FACES = np.array([[sum(1 << n for n in range(8) if n >> 2 - axis & 1 == high) fo
 
 @njit(cache=True, nogil=True)
 def _place(
-    labels, source, distance, low, cubes, number, one_loop, points, trusted, links, plain, odd, first, last
+    labels, source, distance, low, cubes, number, points, trusted, links, plain, odd, first, last
 ):  # fmt: skip
     """What is known of some cubes: see `_mean_crossing`, `_neighbours` and `Sheets.plain`; and whether the sum of the
     indices is odd."""
@@ -172,7 +172,7 @@ def _place(
         trusted[v] = _mean_crossing(near, gap, (i, j, k), points[v])
         plain[v] = True
         for c in range(cells):
-            plain[v] &= one_loop[bits[c]]
+            plain[v] &= ONE_LOOP[bits[c]]
         _neighbours(bits[:cells], cubes[v], strides, number, len(cubes), links[v])
 
 

@@ -20,7 +20,7 @@ from deepfracture.carve.crossing import (
     pierces,
 )
 from deepfracture.carve.ground import Ground
-from deepfracture.carve.join import root
+from deepfracture.carve.join import unite
 from deepfracture.carve.sheets import Sheets
 from deepfracture.types import Floats, Ints, Labels
 
@@ -83,7 +83,7 @@ def _groups(count, edges):
     """The lowest vertex that each vertex hangs together with along edges."""
     parent = np.arange(count).astype(np.int32)
     for n in range(len(edges)):
-        _join(parent, edges[n, 0], edges[n, 1])
+        unite(parent, edges[n, 0], edges[n, 1])
     for v in range(count):
         parent[v] = parent[parent[v]]
     return parent
@@ -100,24 +100,16 @@ def _groups_of_triangles(count, triangles, quads, around, touched, cut):
             whole = whole and not touched[t]
         if whole:
             for n in range(3):
-                _join(parent, around[q, n], around[q, n + 1])
+                unite(parent, around[q, n], around[q, n + 1])
             continue
         for t in range(quads[q], quads[q + 1]):
             for n in range(3):
                 a, b = triangles[t, n], triangles[t, (n + 1) % 3]
                 if not touched[t] or edge_at(table, cut, edge_code(a, b, count)) < 0:
-                    _join(parent, a, b)
+                    unite(parent, a, b)
     for v in range(count):
         parent[v] = parent[parent[v]]
     return parent
-
-
-@njit(cache=True, inline="always")
-def _join(parent, one, other):
-    if parent[one] != parent[other]:
-        a, b = root(parent, one), root(parent, other)
-        if a != b:
-            parent[max(a, b)] = min(a, b)
 
 
 @njit(cache=True, nogil=True)
