@@ -244,3 +244,10 @@ def test_what_is_pressed_into_the_floor_does_not_sink_in(shape, breaker, seed):
     row = hit(prepare(Shop(settings), case(settings, 0)))
     assert row["breaks"] and not row["failures"]
     assert row["deepest"] < 1.01 * SINKING
+
+
+def test_a_contact_that_gives_no_momentum_is_no_blow():
+    """Rapier told of a contact of 57 N s between two pieces in flight, neither of which it had slowed."""
+    settings = Settings(("bunny",), ("learned",), seed=10221)
+    row = hit(prepare(Shop(settings), case(settings, 0)))
+    assert row["breaks"] and not row["failures"]

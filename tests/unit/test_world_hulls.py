@@ -14,7 +14,7 @@ from deepfracture.world.convex import between, clip, corners, hull, planes, volu
 from deepfracture.world.hulls import PIECE_EXCESS, WHOLE_PARTS, piece_hulls, whole_hulls
 
 THIN = 1e-3
-"""No hull that an engine gets is thinner [m]: what is flat gets `PIECE_SAG`, of which neighbours may cut off a little."""
+"""No hull that an engine gets is thinner [m]: what is flat gets `PIECE_SAG`, of which neighbours may cut off some."""
 
 
 @pytest.mark.parametrize(("name", "air"), [("bar", 1e-6), ("mug", 0.1), ("pot", 0.17), ("letter_a", 0.08)])

@@ -29,6 +29,8 @@ BALL_SPOT = 0.3
 """The same for a ball, in radii, if that is more."""
 NOISE = 0.01
 """Impulses below this share of the strongest are left out."""
+SQUEEZED = 1e-6
+"""Share of its contacts' impulses that the sum of a blow has at least, or else they cancel and have no direction."""
 OUTWARDS = 0.1
 """The surface is sought from this far outside the contact [m] (or from half the striker's radius, if that is
 less), so that it is the side which was struck."""
@@ -65,14 +67,18 @@ class _Blow:
 
 def impact_of(
     mesh: Mesh, own: Party, pushes: Sequence[Push], parties: Mapping[int, Party], radii: Mapping[int, float]
-) -> Impact:
-    """The impulses on `own` in its body frame, strongest first; `radii` of curvature by striker [m]."""
+) -> Impact | None:
+    """The impulses on `own` in its body frame, strongest first; `radii` of curvature by striker [m].
+
+    None: it has gained no momentum. An engine may tell of a contact that it has not acted on yet."""
     blows: list[_Blow] = []
     for striker, total in totals(own, pushes, parties).items():
         spot = max(SPOT, BALL_SPOT * radii[striker]) if striker in parties else SPOT
         blows += _blows([p for p in pushes if p.contact.other == striker], total, radii[striker], spot)
     blows.sort(key=lambda blow: -float(np.linalg.norm(blow.impulse)))
     strongest = float(np.linalg.norm(blows[0].impulse))
+    if strongest == 0:
+        return None
     blows = [blow for blow in blows if np.linalg.norm(blow.impulse) > NOISE * strongest]
     turn = rotation(own.before.quat_wxyz)
     impulse = np.array([blow.impulse for blow in blows]) @ turn
@@ -128,9 +134,12 @@ def _blows(pushes: list[Push], total: Floats, radius: float, spot: float) -> lis
         left = [i for i in left if i not in near]
         place = weights[near] @ places[near] / weights[near].sum()
         normal = weights[near] @ normals[near]
+        length = float(np.linalg.norm(normal))
+        # What is squeezed from both sides alike was hit where it was hit hardest.
+        normal = normal / length if length > SQUEEZED * weights[near].sum() else normals[near[0]]
         closing = max(pushes[i].closing for i in near)
         impulse = impulses[near].sum(axis=0)
-        blows.append(_Blow(place, normal / np.linalg.norm(normal), impulse, closing, radius))
+        blows.append(_Blow(place, normal, impulse, closing, radius))
     return blows
 
 

@@ -339,6 +339,8 @@ class Stage:
         radii = {number: self.bodies[number].radius for number in {p.contact.other for p in pushes}}
         assert body.mesh is not None
         impact = impact_of(body.mesh, parties[body.number], pushes, parties, radii)
+        if impact is None:
+            return None
         own = parties.pop(body.number)
         return Hit(body, impact, own.before, own.after, self._strikers(body, own, pushes, parties))
 
