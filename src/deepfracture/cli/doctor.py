@@ -78,7 +78,7 @@ def machine() -> Iterator[str]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield f"  {cores} cores" + ("" if free is None else f", {free[1]:.1f} of {free[0]:.1f} GB of memory free")
     compiled, wanted = kernels()
-    state = "not compiled yet: `deepfracture warm` does it once, in about two minutes"
+    state = "not compiled yet: `deepfracture warm` does it once, in two to five minutes"
     if compiled:
         state = f"compiled in {compiled} of {wanted} files" + (
             "" if compiled == wanted else "; the others when they are first used"

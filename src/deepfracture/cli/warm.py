@@ -14,7 +14,7 @@ def warm() -> None:
     from .main import Throw
     from .shatter import shatter
 
-    log.info("compiling the kernels, once a machine, about two minutes ...")
+    log.info("compiling the kernels, once a machine, two to five minutes ...")
     start, level = time.perf_counter(), log.level
     log.setLevel(logging.WARNING)
     try:
