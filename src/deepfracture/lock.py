@@ -28,7 +28,10 @@ def alone(folder: str | os.PathLike) -> Iterator[None]:
     """
     folder = Path(folder)
     made = [place for place in (folder, *folder.parents) if not place.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:  # another process has removed it between the two looks that this takes
+        folder.mkdir(parents=True, exist_ok=True)
     path = folder / NAME
     with _about(folder):
         handle = take(path)
