@@ -28,13 +28,16 @@ def alone(folder: str | os.PathLike) -> Iterator[None]:
     """
     folder = Path(folder)
     made = [place for place in (folder, *folder.parents) if not place.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:  # another process has removed it between the two looks that this takes
-        folder.mkdir(parents=True, exist_ok=True)
     path = folder / NAME
     with _about(folder):
-        handle = take(path)
+        while True:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                handle = take(path)
+                break
+            except (FileExistsError, FileNotFoundError):  # another process has removed it meanwhile
+                if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+                    raise
     if handle is None:
         raise BadInput(f"{folder}: {_owner(path)} is writing to it; wait until it has ended, or use another folder")
     try:
