@@ -10,9 +10,10 @@ from deepfracture.carve.crossing import INSIDE, OUTSIDE, Crossing, NotGeneral, c
 from deepfracture.carve.divide import Surface, divide
 from deepfracture.carve.ground import Ground, ground_of
 from deepfracture.carve.sheets import Sheets, crack_sheets
+from deepfracture.carve.shells import Solid
 from deepfracture.carve.sides import sheet_walls, surface_cells
 from deepfracture.carve.slivers import without_short_edges
-from deepfracture.carve.solids import Faces, Solid, solids
+from deepfracture.carve.solids import Faces, solids
 from deepfracture.geometry import moments, properties_of
 from deepfracture.progress import stage
 from deepfracture.threads import together

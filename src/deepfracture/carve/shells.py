@@ -11,26 +11,44 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.carve.crossing import NotGeneral
-from deepfracture.carve.join import root, unite
+from deepfracture.carve.join import root
+from deepfracture.geometry import moments
 from deepfracture.threads import apportion
-from deepfracture.types import Floats, Ints
+from deepfracture.types import Floats, Ints, Mesh
 
 Flags = NDArray[np.bool_]
+
+NONE = np.iinfo(np.int32).min
+"""No edge's number, nor the ~ of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One connected solid with a closed 2-manifold surface; voids inside it are shells of their own."""
+
+    mesh: Mesh
+    source: Ints
+    """As in `Fragment.source`."""
+    volume: float
+    """[m^3]"""
+    first: Floats
+    """Integral of x [m^4], shape (3,) ..."""
+    second: Floats
+    """... and of x x^T [m^5], shape (3, 3), both about its first vertex."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
     """The surfaces of all cells, which are closed."""
 
-    twin: NDArray
-    """For the edge from each corner to the next (number 3 face + corner) the one that runs back in the same cell's
-    surface, where one of its ends is not plain; anything for the others. Shape (3 f,)."""
     shell: NDArray
     """Number 0.. of the shell that each face belongs to, shape (f,)."""
     first: Ints
     """The first face of each shell, shape (s,) ..."""
     volumes: Floats
     """... and its signed volume [m^3]."""
+    solids: list[Solid | None]
+    """What each shell encloses, None where its cell has others."""
     cell: NDArray
     """Number 0.. of the cell of each face, shape (f,)."""
     order: NDArray[np.int32]
@@ -39,26 +57,34 @@ class Surfaces:
     """... and where each starts, and their number, shape (c + 1,)."""
 
 
-def surfaces_of(positions: Floats, corners: NDArray, cell: NDArray, plain: Flags, marks: Marks) -> Surfaces:
+def surfaces_of(
+    positions: Floats, source: Ints, corners: NDArray, cell: NDArray, plain: Flags, marks: Marks
+) -> Surfaces:
     """See there. Raises NotGeneral if an edge has none that runs back, or several."""
     if cell.max(initial=0) > len(cell):  # names, not numbers
         cell = np.unique(cell, return_inverse=True)[1].reshape(-1).astype(np.int32)
     cells = int(cell.max(initial=0)) + 1
     order, start = by_number(cell, np.arange(cells), np.zeros(len(cell), np.bool_), cells)
-    twin, shell = np.empty(3 * len(cell), np.int32), np.empty(len(cell), np.int32)
+    twin, shell = np.empty(3 * len(cell), np.int32), np.zeros(len(cell), np.int32)
 
-    def close(n: int) -> tuple[bool, Ints, Floats]:
+    def close(n: int) -> tuple[bool, Ints, Floats, list[Solid | None]]:
         own = order[start[n] : start[n + 1]]
-        with marks.taken(len(own)) as (scratch, base):
-            return _closed(positions, corners, own, plain, scratch, base, twin, shell)
+        with marks.taken(3 * len(own)) as (scratch, base):
+            fine, vertices, turned, come_from, first, volumes = _closed(
+                positions, source, corners, own, plain, scratch, base, twin, shell
+            )
+        if len(first) != 1:
+            return fine, first, volumes, [None] * len(first)
+        solid = Solid(Mesh(vertices, turned), come_from, *moments(vertices, turned, vertices[0]))
+        return fine, first, np.array([solid.volume]), [solid]
 
     found = apportion(close, np.diff(start).tolist())
     if not all(fine for fine, *_ in found):
         raise NotGeneral
-    shells = np.array([len(first) for _, first, _ in found])
+    shells = np.array([len(first) for _, first, *_ in found])
     _shift(shell, cell, np.cumsum(shells) - shells)
-    first, volumes = (np.concatenate([part[n] for part in found]) for n in (1, 2))
-    return Surfaces(twin, shell, first, volumes, cell, order, start)
+    first, volumes = np.concatenate([part[1] for part in found]), np.concatenate([part[2] for part in found])
+    return Surfaces(shell, first, volumes, [solid for part in found for solid in part[3]], cell, order, start)
 
 
 @njit(cache=True, nogil=True)
@@ -68,61 +94,64 @@ def _shift(shell, cell, by):
 
 
 @njit(cache=True, nogil=True)
-def _closed(positions, corners, own, plain, marks, base, twin, shell):
-    """Whether the surface of a cell is closed; the first face and the signed volume of each of its shells. Writes
-    `twin`, and `shell` from 0.
-
-    Faces hang together at plain points, and at edges elsewhere. `marks`: base + the first face at a plain point."""
-    parent, first, volumes = np.empty(len(own), np.int32), np.empty(len(own), np.int64), np.zeros(len(own))
-    loose = 0
-    for i in range(len(own)):
-        parent[i] = head = np.int32(i)
-        for n in range(3):
-            p = corners[own[i], n]
-            if not plain[p]:
-                loose += 1
-            elif marks[p] < base:
-                marks[p] = base + i
-            else:
-                other = root(parent, marks[p] - base)
-                if other != head:
-                    parent[max(head, other)] = min(head, other)
-                    head = min(head, other)
-    if loose and not _paired(corners, own, plain, loose, twin, parent):
-        return False, first[:0], volumes[:0]
-    shells = 0
-    for i in range(len(own)):
-        f, head = own[i], root(parent, i)
-        if head == i:
-            shell[f], first[shells] = shells, f
-            shells += 1
-        else:
-            shell[f] = shell[own[head]]
-        n = shell[f]
-        volumes[n] += _six_volumes(positions, corners[first[n], 0], corners[f, 0], corners[f, 1], corners[f, 2])
-    return True, first[:shells].copy(), volumes[:shells] / 6
+def _closed(positions, source, corners, own, plain, marks, base, twin, shell):
+    """Whether the surface of a cell is closed; vertices, faces and sources as of `meshed`; the first face and, where
+    there are several, the signed volume of each of its shells. Writes `shell`, from 0. `twin`: scratch."""
+    first, volumes = np.empty(0, np.int64), np.empty(0)
+    if not pair(corners, own, plain, twin):
+        return False, np.empty((0, 3)), np.empty((0, 3), np.int64), first, first, volumes
+    vertices, faces, come_from, _ = meshed(positions, source, corners, twin, own, plain, marks, base)
+    parent, shells = np.arange(len(vertices)).astype(np.int32), len(vertices)
+    for f in range(len(faces)):
+        for n in range(1, 3):
+            one, other = root(parent, faces[f, 0]), root(parent, faces[f, n])
+            if one != other:
+                parent[max(one, other)] = min(one, other)
+                shells -= 1
+    first = np.empty(shells, np.int64)
+    if shells == 1:
+        first[0] = own[0]
+    if shells <= 1:
+        return True, vertices, faces, come_from, first, volumes
+    number, volumes = np.full(len(vertices), -1), np.zeros(shells)
+    made = 0
+    for f in range(len(faces)):
+        head = root(parent, faces[f, 0])
+        if number[head] < 0:
+            number[head], first[made] = made, own[f]
+            made += 1
+        n = number[head]
+        shell[own[f]] = n
+        volumes[n] += _six_volumes(
+            positions, corners[first[n], 0], corners[own[f], 0], corners[own[f], 1], corners[own[f], 2]
+        )
+    return True, vertices, faces, come_from, first, volumes / 6
 
 
 @njit(cache=True, nogil=True)
-def _paired(corners, own, plain, loose, twin, parent):
-    """Whether each edge of a cell's faces with an end that is not plain has exactly one that runs back: its twin, whose
-    face joins its own. `loose`: corners of these faces that are not plain.
+def pair(corners, own, plain, twin):
+    """Whether each edge of a cell's faces with an end that is not plain has exactly one that runs back in the same
+    cell: its twin, which is written. Edges are numbered 3 face + corner from which they lead to the next.
 
     In a table with open addresses an edge (`keys`) has the number of the first that ran along it, ~number if from the
-    higher point, and the place of its face in `own`, -1 once its twin has come (`edges`)."""
+    higher point, NONE once its twin has come (`edges`)."""
+    faces, count, loose = np.empty(len(own), np.int32), 0, 0
+    for f in own:
+        here = 3 - int(plain[corners[f, 0]]) - int(plain[corners[f, 1]]) - int(plain[corners[f, 2]])
+        faces[count] = f
+        count += here > 0
+        loose += here
     room = 16
     while room < 2 * loose:  # two such corners at least belong to each edge that has a twin
         room *= 2
-    keys, edges = np.full((room, 2), -1, np.int32), np.empty((room, 2), np.int32)
+    keys, edges = np.full((room, 2), -1, np.int32), np.empty(room, np.int32)
     used, lonely = 0, 0
-    for i in range(len(own)):
-        a, b, c = corners[own[i], 0], corners[own[i], 1], corners[own[i], 2]
-        if plain[a] and plain[b] and plain[c]:
-            continue
+    for f in faces[:count]:
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
         for n in range(3):
             if not (plain[a] and plain[b]):
                 low, high = min(a, b), max(a, b)
-                edge = np.int32(3 * own[i] + n)
+                edge = np.int32(3 * f + n)
                 # Neighbours meet nearby in the table; only what finds its place taken is sent far away.
                 at = np.int64(8 * np.int64(low) + (5 * np.int64(high) >> 1 & 7)) & (room - 1)
                 step = (np.int64(high) * 0x9E3779B97F4A7C1) >> 20 | 1
@@ -131,18 +160,53 @@ def _paired(corners, own, plain, loose, twin, parent):
                 if keys[at, 0] < 0:
                     if used == loose:
                         return False
-                    keys[at, 0], keys[at, 1], edges[at, 0], edges[at, 1] = low, high, edge if a < b else ~edge, i
+                    keys[at, 0], keys[at, 1], edges[at] = low, high, edge if a < b else ~edge
                     used, lonely = used + 1, lonely + 1
                 else:
-                    other = edges[at, 0] if a > b else ~edges[at, 0]
-                    if other < 0 or edges[at, 1] < 0:
+                    other = edges[at] if a > b else ~edges[at]
+                    if edges[at] == NONE or other < 0:
                         return False
                     twin[edge], twin[other] = other, edge
-                    unite(parent, i, edges[at, 1])
-                    edges[at, 1] = -1
+                    edges[at] = NONE
                     lonely -= 1
             a, b, c = b, c, a
     return lonely == 0
+
+
+@njit(cache=True, nogil=True)
+def meshed(positions, source, corners, twin, own, plain, marks, base):
+    """Vertices and faces of a closed surface, the source of each face (-1 of cracks), and the point of each vertex.
+
+    A vertex for each plain point, and else for each fan of faces around it. `own`: its faces, in `corners`; `marks`:
+    base + vertex of a plain point. The twin of a corner that is not plain becomes ~vertex."""
+    faces, points = np.empty((len(own), 3), np.int64), np.empty(3 * len(own), np.int64)
+    come_from = np.empty(len(own), np.int64)
+    used = 0
+    for f in range(len(own)):
+        come_from[f] = source[own[f]] if own[f] < len(source) else -1
+        for n in range(3):
+            p = corners[own[f], n]
+            if plain[p]:
+                if marks[p] < base:
+                    marks[p], points[used] = base + used, p
+                    used += 1
+                faces[f, n] = marks[p] - base
+                continue
+            corner = 3 * own[f] + n
+            if twin[corner] >= 0:
+                points[used] = p
+                at = corner
+                while twin[at] >= 0:
+                    back = twin[at]
+                    twin[at] = ~used
+                    at = back - 2 if back % 3 == 2 else back + 1
+                used += 1
+            faces[f, n] = ~twin[corner]
+    vertices = np.empty((used, 3))
+    for n in range(used):
+        for x in range(3):
+            vertices[n, x] = positions[points[n], x]
+    return vertices, faces, come_from, points[:used].copy()
 
 
 @njit(cache=True, inline="always")
@@ -154,26 +218,17 @@ def _six_volumes(positions, pivot, one, two, three):
     return ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
 
 
-def relink(surfaces: Surfaces, corners: NDArray, goes: Flags, plain: Flags, outer: int, inner: int) -> None:
-    """Twins across the faces that go: the faces behind both sides of one meet. So the edges of the cells beside them
-    need pairs where their corners were plain, too."""
-    parted = np.zeros(len(surfaces.start) - 1, np.bool_)
-    parted[surfaces.cell[goes]] = True
-    cells = [surfaces.order[surfaces.start[n] : surfaces.start[n + 1]] for n in np.flatnonzero(parted)]
-    sizes = [len(own) for own in cells]
-    apportion(lambda n: _pair(corners, cells[n], plain, surfaces.twin), sizes)
-    apportion(lambda n: _bridge(corners, cells[n], plain, goes, outer, inner, surfaces.twin), sizes)
-
-
-@njit(cache=True, nogil=True)
-def _pair(corners, own, plain, twin):
-    """Write the twins of a cell, which is known to be closed."""
-    parent, loose = np.empty(len(own), np.int32), 0
-    for i in range(len(own)):
-        parent[i] = i
-        for n in range(3):
-            loose += not plain[corners[own[i], n]]
-    _paired(corners, own, plain, loose, twin, parent)
+def twins(
+    surfaces: Surfaces, corners: NDArray, cells: Ints, goes: Flags, plain: Flags, outer: int, inner: int
+) -> NDArray:
+    """For the edges of some cells, numbered 3 face + corner, those that run back, where one of their ends is not plain;
+    anything for all others. Across the faces that go: those behind both sides of one meet."""
+    twin = np.empty(3 * len(corners), np.int32)
+    owned = [surfaces.order[surfaces.start[n] : surfaces.start[n + 1]] for n in cells]
+    sizes = [len(own) for own in owned]
+    apportion(lambda n: pair(corners, owned[n], plain, twin), sizes)
+    apportion(lambda n: _bridge(corners, owned[n], plain, goes, outer, inner, twin), sizes)
+    return twin
 
 
 @njit(cache=True, nogil=True)

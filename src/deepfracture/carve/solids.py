@@ -8,25 +8,10 @@ import numpy as np
 from numba import njit
 
 from deepfracture.carve.dust import solids_of_shells
-from deepfracture.carve.shells import Flags, Marks, by_number, half_faces, relink, surfaces_of
+from deepfracture.carve.shells import Flags, Marks, Solid, by_number, half_faces, meshed, surfaces_of, twins
 from deepfracture.geometry import moments
 from deepfracture.threads import apportion, spread
 from deepfracture.types import Floats, Ints, Mesh
-
-
-@dataclass(frozen=True, eq=False)
-class Solid:
-    """One connected solid with a closed 2-manifold surface; voids inside it are shells of their own."""
-
-    mesh: Mesh
-    source: Ints
-    """As in `Fragment.source`."""
-    volume: float
-    """[m^3]"""
-    first: Floats
-    """Integral of x [m^4], shape (3,) ..."""
-    second: Floats
-    """... and of x x^T [m^5], shape (3, 3), both about its first vertex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +58,7 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
         outer + inner, least=16384,
     )  # fmt: skip
     marks = Marks(len(faces.positions))
-    surfaces = surfaces_of(faces.positions, corners, cell, faces.plain, marks)
+    surfaces = surfaces_of(faces.positions, faces.source, corners, cell, faces.plain, marks)
     shell, first = surfaces.shell, surfaces.first
     into = solids_of_shells(faces.positions, corners, cell, shell, first, surfaces.volumes, outer, inner, smallest)
     names = np.unique(into[into >= 0])
@@ -81,25 +66,30 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     number = np.full(len(into) + 1, -1)
     number[names] = np.arange(len(names))
     solid = number[into]
-    goes, joined = _going(shell, solid, outer, inner, len(names))
-    order, face_start = by_number(shell, solid, goes, len(names))
-    twin, plain = surfaces.twin, faces.plain
-    if joined.any():
-        guests = cell[first] != cell[first[into]]
-        plain = _without_corners(plain, corners, shell, guests)
-        relink(surfaces, corners, goes, plain, outer, inner)
+    several = np.bincount(solid[solid >= 0], minlength=len(names)) > 1
+    made = [None if several[n] else surfaces.solids[name] for n, name in enumerate(names.tolist())]
+    twice = [np.empty((0, 2), np.int64)]
+    rest = np.array([found is None for found in made], np.bool_)
+    if rest.any():
+        goes, joined = _going(shell, solid, outer, inner, len(names))
+        order, start = by_number(shell, solid, goes, len(names))
+        plain = _without_corners(faces.plain, corners, shell, cell[first] != cell[first[into]])
+        cells = np.unique(surfaces.cell[first[(solid >= 0) & rest[solid]]])
+        twin = twins(surfaces, corners, cells, goes, plain, outer, inner)
 
-    def make(n: int) -> tuple[Solid, Ints]:
-        own = order[face_start[n] : face_start[n + 1]]
-        with marks.taken(3 * len(own)) as (scratch, base):
-            vertices, fans, points, source, mass = _solid(
-                faces.positions, faces.source, corners, twin, own, plain if joined[n] else faces.plain, scratch, base
-            )
-        twice = points[_doubles(fans, len(points))] if joined[n] else np.empty((0, 2), np.int64)
-        return Solid(Mesh(vertices, fans), source, *mass), twice
+        def make(n: int) -> None:
+            own = order[start[n] : start[n + 1]]
+            with marks.taken(3 * len(own)) as (scratch, base):
+                vertices, turned, source, points = meshed(
+                    faces.positions, faces.source, corners, twin, own, plain, scratch, base
+                )
+            made[n] = Solid(Mesh(vertices, turned), source, *moments(vertices, turned, vertices[0]))
+            if joined[n]:
+                twice.append(points[_doubles(turned, len(points))])
 
-    pairs = apportion(make, np.diff(face_start).tolist())
-    return [solid for solid, _ in pairs], np.concatenate([np.empty((0, 2), np.int64), *(twice for _, twice in pairs)])
+        which = np.flatnonzero(rest)
+        apportion(lambda n: make(which[n]), np.diff(start)[which].tolist())
+    return [solid for solid in made if solid is not None], np.concatenate(twice)
 
 
 @njit(cache=True, nogil=True)
@@ -184,40 +174,3 @@ def _going(shell, solid, outer, inner, count):
         if one == two and one >= 0:
             joined[one] = True
     return goes, joined
-
-
-@njit(cache=True, nogil=True)
-def _solid(positions, source, corners, twin, own, plain, marks, base):
-    """Vertices and faces of a solid, the point of each vertex, the source of each face (-1 of cracks), and its moments
-    about its first vertex.
-
-    A vertex for each plain point, and else for each fan of faces around it. `own`: the solid's faces, in `corners`;
-    `marks`: base + vertex of a plain point. The twin of a corner that is not plain becomes ~vertex."""
-    faces, points = np.empty((len(own), 3), np.int64), np.empty(3 * len(own), np.int64)
-    come_from = np.empty(len(own), np.int64)
-    used = 0
-    for f in range(len(own)):
-        come_from[f] = source[own[f]] if own[f] < len(source) else -1
-        for n in range(3):
-            p = corners[own[f], n]
-            if plain[p]:
-                if marks[p] < base:
-                    marks[p], points[used] = base + used, p
-                    used += 1
-                faces[f, n] = marks[p] - base
-                continue
-            corner = 3 * own[f] + n
-            if twin[corner] >= 0:
-                points[used] = p
-                at = corner
-                while twin[at] >= 0:
-                    back = twin[at]
-                    twin[at] = ~used
-                    at = back - 2 if back % 3 == 2 else back + 1
-                used += 1
-            faces[f, n] = ~twin[corner]
-    vertices = np.empty((used, 3))
-    for n in range(used):
-        for x in range(3):
-            vertices[n, x] = positions[points[n], x]
-    return vertices, faces, points[:used].copy(), come_from, moments(vertices, faces, vertices[0])
