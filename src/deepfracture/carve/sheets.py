@@ -82,7 +82,7 @@ def crack_sheets(
     jitter = _jitter(seed, 1 << (len(points) + len(edges)).bit_length())
     points += jitter[: len(points)]
     turns = np.empty(len(edges), np.int8)
-    spread(lambda first, last: _turns(labels.shape, points, around, edges, turns, first, last), len(edges), least=2048)
+    spread(lambda first, last: _turns(points, around, edges, turns, first, last), len(edges), least=2048)
     quads, middles = _starts(turns)
     every = np.empty((len(points) + middles[-1], 3))
     every[: len(points)] = points
@@ -149,6 +149,8 @@ def _one_loop(corners: int) -> bool:
 
 ONE_LOOP = np.array([_one_loop(corners) for corners in range(256)])
 """For each set of corners, as the bits of a number: see `_one_loop`."""
+EDGES = tuple((n, n | 1 << bit, bit) for n in range(8) for bit in range(3) if not n >> bit & 1)
+"""Corners at both ends of a cube's edges, numbered as in `FACES`, and which bit of their numbers differs."""
 FACES = np.array([[sum(1 << n for n in range(8) if n >> 2 - axis & 1 == high) for high in (0, 1)] for axis in range(3)])
 """The corners on a cube's faces as bits, corner n at (n >> 2, n >> 1 & 1, n & 1)."""
 
@@ -209,18 +211,16 @@ def _mean_crossing(near, gap, base, point):
     is known."""
     crossings, cracks = 0, 0
     x, y, z = 0.0, 0.0, 0.0
-    for n in range(8):
-        for bit in range(3):
-            m = n | 1 << bit
-            if m == n or near[m] == near[n] or near[n] == 0 or near[m] == 0:
-                continue
-            cracks += 1
-            if gap[n] > 0 and gap[m] > 0:
-                crossings += 1
-                at = min(max(gap[n] / (gap[n] + gap[m]), EDGE), 1 - EDGE)
-                x += at if bit == 2 else n >> 2
-                y += at if bit == 1 else n >> 1 & 1
-                z += at if bit == 0 else n & 1
+    for n, m, bit in EDGES:
+        if near[m] == near[n] or near[n] == 0 or near[m] == 0:
+            continue
+        cracks += 1
+        if gap[n] > 0 and gap[m] > 0:
+            crossings += 1
+            at = min(max(gap[n] / (gap[n] + gap[m]), EDGE), 1 - EDGE)
+            x += at if bit == 2 else n >> 2
+            y += at if bit == 1 else n >> 1 & 1
+            z += at if bit == 0 else n & 1
     for a in range(3):
         mean = (x if a == 0 else y if a == 1 else z) / crossings if crossings else 0.5
         place, middle = base[a] + mean, base[a] + 0.5
@@ -286,18 +286,18 @@ def _relax(points, start, trusted, links, odd, half, first, last):
 
 
 @njit(cache=True, nogil=True)
-def _turns(size, points, around, edges, turns, first, last):
+def _turns(points, around, edges, turns, first, last):
     """From which of its four vertices the diagonal across each of some grid edges starts, 0 or 1; -1: it has none.
 
     Each vertex lies in its own cube and each edge between two vertices crosses the face between their cubes, so
     what a sheet leaves in a cube is a fan from the vertex to curves on the cube's faces, which cannot cross - if
     each quadrilateral keeps to the four tetrahedra of its grid edge and two neighbouring vertices (Ju and Udeshi
     2006). Two triangles do if their diagonal does; four around a point of the grid edge always do."""
-    strides = (size[1] * size[2], size[2], 1)
     for n in range(first, last):
-        v, axis = edges[n]
+        axis = edges[n, 1]
         ring = around[n]
-        corner = (v // strides[0], v // strides[1] % size[1], v % size[2])
+        own = points[ring[2]]  # in the cube whose first corner the edge's first voxel is
+        corner = (np.floor(own[0]), np.floor(own[1]), np.floor(own[2]))
         longer = 0.0
         for x in range(3):
             longer += (points[ring[0], x] - points[ring[2], x]) ** 2 - (points[ring[1], x] - points[ring[3], x]) ** 2
