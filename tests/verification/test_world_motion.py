@@ -299,6 +299,30 @@ def test_angular_momentum_through_a_collision(engine: str) -> None:
 
 
 @every_engine
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_new_body_has_its_own_inertia_in_its_first_step(engine: str, moved: bool) -> None:
+    """A ball hits the end of a bar that stands askew, in the first step after the bar came in or was turned."""
+    shape = builtin("bar")
+    mass, solid = _mass(shape), Mass(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
+    askew = np.array([0.8, 0.2, -0.4, 0.4])
+    turn = rotation(askew)
+    gap = np.array([0.6, shape.mesh.vertices[:, 1].min() - 0.2 - 1e-4, 0.1])
+    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    bar = world.add_body([shape.mesh.vertices], mass, _still() if moved else replace(_still(), quat_wxyz=askew))
+    if moved:
+        world.step(1 / 960)
+        world.move(bar, replace(_still(), quat_wxyz=askew))
+    ball = world.add_ball(0.2, 100.0, replace_velocity(_still(turn @ gap), turn @ [0, 10, 0]))
+    before = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
+    world.step(1 / 960)
+    after = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
+    assert np.linalg.norm(world.motion(bar).spin) > 0.5
+    world.close()
+    assert np.linalg.norm(after[0] - before[0]) < 1e-3 * np.linalg.norm(before[0])
+    assert np.linalg.norm(after[1] - before[1]) < 0.02 * np.linalg.norm(before[1])
+
+
+@every_engine
 @pytest.mark.parametrize("name", ["bar", "pot"])
 def test_fragments_at_rest_stay_at_rest(engine: str, name: str) -> None:
     """Broken without a push, in zero gravity, nothing flies apart: hulls do not explode by overlap."""

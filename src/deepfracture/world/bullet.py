@@ -32,6 +32,12 @@ from deepfracture.world.engine import (
     times,
 )
 
+INSTANT = 1e-9
+"""A step in which nothing happens [s]."""
+SAME = 1 - 1e-9
+"""Cosine of half the angle between orientations that are one."""
+WARM = 0.85
+"""Share of the impulses of a step that Bullet begins the next one with."""
 REBOUND, PILE = 0.0005, 0.006
 """Bodies nearer than this are in contact [m]. Bullet brakes what is about to touch, and what it has braked
 bounces less, so for impulses the distance is small; piles need contacts that last, so for them it is not."""
@@ -72,6 +78,8 @@ class Bullet:
             **self._world,
         )
         self._dt = 0.0
+        self._fresh = False
+        """Whether a body was added or turned since the last step: see `_turn_inertia`."""
         self._friction = float(np.sqrt(surface.friction))
         self._restitution = float(np.sqrt(surface.restitution))
         self._frames: dict[int, _Frame] = {}
@@ -86,6 +94,7 @@ class Bullet:
     def add_body(self, hulls: Sequence[Floats], mass: Mass, motion: Motion) -> int:
         moments, axes = mass.principal()
         shape = self._shape([(hull - mass.centre) @ axes for hull in hulls])
+        self._fresh = True
         return self._add(shape, mass.mass, moments, _Frame(mass.centre, quaternion(axes)), motion, TURNING)
 
     def add_ball(self, radius: float, mass: float, motion: Motion) -> int:
@@ -117,6 +126,8 @@ class Bullet:
     def move(self, body: int, motion: Motion) -> None:
         place, turn = _to_bullet(motion, self._frames[body])
         held = self._ids[body]
+        _, turned = self._api.getBasePositionAndOrientation(held, **self._world)
+        self._fresh |= abs(np.dot(turn, turned)) < SAME
         self._api.resetBasePositionAndOrientation(held, place, turn, **self._world)
         self._api.resetBaseVelocity(held, list(motion.velocity), list(motion.spin), **self._world)
 
@@ -129,10 +140,26 @@ class Bullet:
         self._api.setPhysicsEngineParameter(contactBreakingThreshold=PILE, **self._world)
 
     def step(self, dt: float) -> None:
+        if self._fresh:
+            self._turn_inertia()
         if dt != self._dt:
             self._api.setPhysicsEngineParameter(fixedTimeStep=dt, **self._world)
             self._dt = dt
         self._api.stepSimulation(**self._world)
+
+    def _turn_inertia(self) -> None:
+        """Until its first step is over, Bullet turns a new body as if it had the inertia of its box and stood upright,
+        whatever it was told since; one that was put elsewhere, as it stood before. So a step of no length goes first,
+        in which nothing pushes and nothing moves."""
+        known = self._api.getPhysicsEngineParameters(**self._world)
+        self._api.setPhysicsEngineParameter(
+            fixedTimeStep=INSTANT, numSolverIterations=0, warmStartingFactor=0.0, **self._world
+        )
+        self._api.stepSimulation(**self._world)
+        self._api.setPhysicsEngineParameter(
+            numSolverIterations=known["numSolverIterations"], warmStartingFactor=WARM, **self._world
+        )
+        self._dt, self._fresh = 0.0, False
 
     def motion(self, body: int) -> Motion:
         frame = self._frames[body]
