@@ -21,8 +21,8 @@ from common import DATA, ROOT, shape_named, start, table, write_json, write_text
 from scipy.spatial import cKDTree
 
 from deepfracture.export import write_glb, write_usd
-from deepfracture.export.motion import break_frame, pose, rotation_matrices, shortest_turn, similarity
 from deepfracture.export.names import body_names
+from deepfracture.recording.motion import break_frame, pose, rotation_matrices, shortest_turn, similarity
 from deepfracture.types import BadInput, Floats, NoSolution, Recording, Track
 
 FORMATS = ("glb", "usdc", "abc", "fbx")

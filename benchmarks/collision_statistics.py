@@ -30,9 +30,9 @@ import numpy as np
 from common import DATA, REFERENCE, ROOT, SPEEDS, fragment_volumes, shape_named, start, table, write_json, write_text
 
 from deepfracture.dataset import Dataset, Local, Sample, open_dataset, simulate_collisions
-from deepfracture.export.files import replacing
 from deepfracture.fracture import material
-from deepfracture.progress import log, track
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from deepfracture.export.files import replacing
 from deepfracture.geometry import load_shape
-from deepfracture.progress import log
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, FracturePattern, Impact, Ints, Material, Shape
 from deepfracture.world import first_impact, learning_scene
 

@@ -15,11 +15,11 @@ import numpy as np
 from common import DATA, REFERENCE, ROOT, SPEEDS, kept, shape_named, start, throw
 
 from deepfracture.carve import cut
-from deepfracture.export.files import replacing
-from deepfracture.export.picture import exploded
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import mass_properties
-from deepfracture.progress import log, track
+from deepfracture.render.picture import exploded
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Fragment, Fragments, Grid, Impact, Shape
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from deepfracture.bench.rows import share
 from deepfracture.fracture import FractureBody, material, prepare_body
 from deepfracture.fracture.body import ELEMENTS
 from deepfracture.geometry import load_shape
-from deepfracture.memory import peak_mb
-from deepfracture.progress import collect_stages, log
+from deepfracture.runtime.memory import peak_mb
+from deepfracture.runtime.progress import collect_stages, log
 from deepfracture.types import Grid, Shape
 
 DOCS = Path(__file__).parents[1] / "docs"

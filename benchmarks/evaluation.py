@@ -18,7 +18,7 @@ from common import ROOT, start, table, write_json, write_text
 from deepfracture.compare import MEASURES
 from deepfracture.evaluate import Evaluation, Interval, Summary, load_evaluation, score_samples, summarise
 from deepfracture.evaluate.plots import COLOURS, INK
-from deepfracture.export.files import replacing
+from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats
 
 BASELINE = "nearest"

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 import deepfracture as df
 from deepfracture.carve import cut, encode, segment
-from deepfracture.export.files import replacing
-from deepfracture.export.picture import exploded
 from deepfracture.fracture import prepare_body
 from deepfracture.fracture import simulate as fracture
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import Model, embedded_model, load_model, network, predict
-from deepfracture.progress import log
+from deepfracture.render.picture import exploded
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log
 from deepfracture.types import Floats, Fragments, Grid, Impact, Shape, Volume
 
 if TYPE_CHECKING:

@@ -29,12 +29,12 @@ from degenerate import DEGENERATE
 
 from deepfracture.carve import cut, encode, segment, voronoi_pattern
 from deepfracture.dataset import Dataset, open_dataset
-from deepfracture.export.files import replacing
 from deepfracture.fracture import material
 from deepfracture.geometry import BUILTIN, load_shape, signed_distance
 from deepfracture.geometry.untangle import crossing_faces
 from deepfracture.learn import Model, embedded_model, load_model, predict
-from deepfracture.progress import log, track
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Ints, Shape, Volume
 from deepfracture.validation.fragments import FragmentReport, check_fragments
 

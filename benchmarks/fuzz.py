@@ -327,7 +327,7 @@ def _models(folder: Path) -> Sequence[Path]:
     from deepfracture.learn.training import _Lesson, _Run, train
 
     torch.set_num_threads(1)
-    made = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "unit" / "test_learn_training.py"))
+    made = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "unit" / "learn" / "test_training.py"))
     data = made["made"](folder / "data", 2)
     small = made["Config"](impulse_size=8, segment_size=4, hidden=8, basis=16, batch=2, points=50)
     train(data, folder / "run", small, epochs=1, minutes=None, resume=True, device="cpu", seed=0)
@@ -366,7 +366,7 @@ def _dataset(folder: Path) -> Any:
 def _datasets(folder: Path) -> Sequence[Path]:
     import runpy
 
-    made = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "unit" / "test_learn_training.py"))
+    made = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "unit" / "learn" / "test_training.py"))
     made["made"](folder / "data", 2)
     return [folder]
 

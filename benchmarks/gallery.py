@@ -19,12 +19,12 @@ from contact_sheet import azimuth_of
 from numpy.typing import NDArray
 
 import deepfracture as df
-from deepfracture.export.camera import Camera, frame_points
-from deepfracture.export.files import replacing
-from deepfracture.export.motion import break_frame, exists, pose
-from deepfracture.export.picture import exploded
-from deepfracture.export.studio import RecordingStudio
-from deepfracture.progress import log, track
+from deepfracture.recording.motion import break_frame, exists, pose
+from deepfracture.render.camera import Camera, frame_points
+from deepfracture.render.picture import exploded
+from deepfracture.render.studio import RecordingStudio
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import Appearance, Finish, Floats, Recording, Shape
 
 PAINT = {

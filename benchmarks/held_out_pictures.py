@@ -13,8 +13,8 @@ from contact_sheet import azimuth_of, grid_of, save
 from deepfracture.breakers import PatternSource, ways
 from deepfracture.carve import cut
 from deepfracture.dataset import Dataset, open_dataset
-from deepfracture.export.picture import exploded
-from deepfracture.progress import track
+from deepfracture.render.picture import exploded
+from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, FracturePattern, Impact
 
 COLUMNS = ("simulation", "simulated again", "random code 1", "random code 2", "nearest pattern")

@@ -28,7 +28,7 @@ from deepfracture.breakers import make_breaker
 from deepfracture.fracture import material
 from deepfracture.geometry import load_shape
 from deepfracture.geometry.intersect import self_intersections
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Grid, Impact, NoSolution, Shape
 from deepfracture.validation.fragments import check_fragments
 

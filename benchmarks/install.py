@@ -22,7 +22,7 @@ from pathlib import Path
 
 from common import ROOT, start, table, write_text
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 
 OF_PIP = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "wheel")

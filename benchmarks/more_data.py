@@ -21,10 +21,10 @@ from deepfracture.breakers.recalled import Memory
 from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
-from deepfracture.export.files import replacing
 from deepfracture.learn import Normaliser
 from deepfracture.learn.choice import Choice, fit, mean_distance
-from deepfracture.progress import stage
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import stage
 from deepfracture.types import BadInput, FracturePattern, Impact, Shape
 
 SEGMENT_SIZE = 8

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from common import start, table, write_text
 
-from deepfracture.extras import need
 from deepfracture.learn import Model, embedded_model, load_model, network, predict
 from deepfracture.learn.onnx import export_onnx, spline_matrix
-from deepfracture.progress import log
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Impact
 
 WARM = 2

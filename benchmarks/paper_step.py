@@ -18,8 +18,8 @@ from deepfracture.learn.fields import preset
 from deepfracture.learn.fields.model import build, prepared
 from deepfracture.learn.fields.teaching import faster_precision
 from deepfracture.learn.team import pick_device
-from deepfracture.memory import peak_mb
-from deepfracture.progress import log
+from deepfracture.runtime.memory import peak_mb
+from deepfracture.runtime.progress import log
 
 
 def main() -> None:

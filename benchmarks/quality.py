@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from common import ROOT, start, table, write_text
 
-from deepfracture.export.files import replacing
+from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput
 
 

@@ -24,7 +24,7 @@ from deepfracture.compare import variation_of_information
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.fracture import material, prepare_body, simulate
 from deepfracture.geometry import distance_to_samples, signed_distance
-from deepfracture.progress import log, track
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats, Floats32, FracturePattern, Grid, Labels, Shape, Volume
 
 SQUIRREL = "squirrel_fracturerb_26.npz"

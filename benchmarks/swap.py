@@ -18,13 +18,13 @@ import numpy as np
 from common import DATA, MISSES, ROOT, SPEEDS, shape_named, start, table, write_text
 
 from deepfracture.breakers import make_breaker
-from deepfracture.export.files import replacing
 from deepfracture.fracture import material
+from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
 from deepfracture.learn import embedded_model
+from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats, Fragments, Grid, Material, Shape
 from deepfracture.world import ENGINES, Scene, first_impact, learning_scene
 from deepfracture.world.engine import Mass, Motion, Surface, open_engine, rotation
-from deepfracture.world.hulls import Hulls, piece_hulls
 from deepfracture.world.stage import Hit, Stage
 
 SHAPES = ("pot", "bunny", "base", "mug", "squirrel")

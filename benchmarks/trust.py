@@ -24,12 +24,12 @@ from common import DATA, ROOT, SPEEDS, kept, start, table, throw, write_json, wr
 from degenerate import DEGENERATE
 
 from deepfracture.carve import cut
-from deepfracture.carve.cut import DUST_VOXELS
+from deepfracture.carve.cutting.cut import DUST_VOXELS
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import BUILTIN, faults, load_shape, signed_distance
 from deepfracture.geometry.topology import split_pinches
-from deepfracture.progress import log, track
-from deepfracture.threads import ONE_THREAD
+from deepfracture.runtime.parallel import ONE_THREAD
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, FracturePattern, Fragments, Grid, Shape
 
 ON_SURFACE = 1e-6

@@ -17,8 +17,8 @@ from starting import start
 from tyro.conf import Positional
 
 import deepfracture as df
-from deepfracture.export.files import replacing
-from deepfracture.progress import log
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log
 
 MILLIMETRES = 95.0
 """Height of the mug that is made here."""

@@ -15,7 +15,7 @@ from picturing import exploded_view, panel
 from starting import start
 
 import deepfracture as df
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 
 def compare_breakers(

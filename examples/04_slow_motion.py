@@ -18,14 +18,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from deepfracture.breakers import make_breaker
-from deepfracture.export import write_film
-from deepfracture.export.camera import frame_points
-from deepfracture.export.files import replacing
-from deepfracture.export.motion import break_frame, exists, pose
-from deepfracture.export.studio import RecordingStudio
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import builtin
-from deepfracture.progress import stage
+from deepfracture.recording.motion import break_frame, exists, pose
+from deepfracture.render import write_film
+from deepfracture.render.camera import frame_points
+from deepfracture.render.studio import RecordingStudio
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import stage
 from deepfracture.types import Appearance, BadInput, Finish, Floats, Grid, Ints, Recording, Shape
 from deepfracture.world import Ball, Floor, Placed, Scene, simulate
 from deepfracture.world.scene import STEEL

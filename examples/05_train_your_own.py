@@ -24,7 +24,7 @@ from deepfracture.carve import cut
 from deepfracture.dataset import Dataset
 from deepfracture.evaluate import evaluate, write_report
 from deepfracture.evaluate.report import score_table
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 OTHER = 1000
 """Added to the seed of the held-out collisions: none of them is in the training data."""

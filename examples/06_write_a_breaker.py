@@ -17,8 +17,8 @@ from starting import start
 
 import deepfracture as df
 from deepfracture.breakers import PatternBreaker
-from deepfracture.export import exploded
 from deepfracture.geometry import voxels_inside
+from deepfracture.render import exploded
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 from starting import start
 
 import deepfracture as df
-from deepfracture.export.files import replacing
-from deepfracture.progress import log, track
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import Floats
 
 

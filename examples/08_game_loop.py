@@ -19,8 +19,8 @@ import numpy as np
 from starting import start
 
 import deepfracture as df
-from deepfracture.export.files import replacing
-from deepfracture.progress import collect_stages, log
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import collect_stages, log
 
 FRAME = 1 / 60
 """Seconds."""

@@ -24,8 +24,8 @@ from scipy.optimize import linear_sum_assignment
 
 from deepfracture.carve import segment
 from deepfracture.compare import variation_of_information
-from deepfracture.export.files import replacing
-from deepfracture.progress import track
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, Floats, Grid, Labels, Volume
 
 WAYS = ("labels", "labels by place", "lines", "USDF")

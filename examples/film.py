@@ -19,12 +19,12 @@ from PIL import Image, ImageDraw
 from starting import start
 
 import deepfracture as df
-from deepfracture.export.camera import frame_action
-from deepfracture.export.files import replacing
-from deepfracture.export.film import FILM_RATE, in_threads, write_pictures
-from deepfracture.export.motion import break_frame
-from deepfracture.export.studio import RecordingStudio
-from deepfracture.progress import stage
+from deepfracture.recording.motion import break_frame
+from deepfracture.render.camera import frame_action
+from deepfracture.render.film import FILM_RATE, in_threads, write_pictures
+from deepfracture.render.studio import RecordingStudio
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import stage
 from deepfracture.types import Appearance, Finish, Ints, Recording, Shape
 
 WORLD_RATE = 240

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from deepfracture.export import exploded
-from deepfracture.export.files import replacing
+from deepfracture.render import exploded
+from deepfracture.runtime.files import replacing
 from deepfracture.types import Fragments, Shape
 
 INK, PAPER = (40, 40, 40), (255, 255, 255)

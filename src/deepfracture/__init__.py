@@ -13,41 +13,41 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import breaker as breaker
-    from .api import hit as hit
-    from .api import load as load
-    from .api import run as run
-    from .api import save as save
-    from .api import simulate as simulate
-    from .api import stress as stress
-    from .api import throw as throw
-    from .api import throw_scene as throw_scene
-    from .api import train as train
-    from .breakers import BREAKERS as BREAKERS
-    from .fracture import MATERIALS as MATERIALS
-    from .fracture import material as material
-    from .geometry import BUILTIN as BUILTIN
-    from .types import BadInput as BadInput
-    from .types import Breaker as Breaker
-    from .types import FracturePattern as FracturePattern
-    from .types import Fragment as Fragment
-    from .types import Fragments as Fragments
-    from .types import Grid as Grid
-    from .types import Impact as Impact
-    from .types import Material as Material
-    from .types import Mesh as Mesh
-    from .types import NoSolution as NoSolution
-    from .types import Recording as Recording
-    from .types import Shape as Shape
-    from .types import Volume as Volume
-    from .world import Ball as Ball
-    from .world import Block as Block
-    from .world import Floor as Floor
-    from .world import Live as Live
-    from .world import Outcome as Outcome
-    from .world import Placed as Placed
-    from .world import Scene as Scene
-    from .world import load_scene as load_scene
+    from deepfracture.api import breaker as breaker
+    from deepfracture.api import hit as hit
+    from deepfracture.api import load as load
+    from deepfracture.api import run as run
+    from deepfracture.api import save as save
+    from deepfracture.api import simulate as simulate
+    from deepfracture.api import stress as stress
+    from deepfracture.api import throw as throw
+    from deepfracture.api import throw_scene as throw_scene
+    from deepfracture.api import train as train
+    from deepfracture.breakers import BREAKERS as BREAKERS
+    from deepfracture.fracture import MATERIALS as MATERIALS
+    from deepfracture.fracture import material as material
+    from deepfracture.geometry import BUILTIN as BUILTIN
+    from deepfracture.types import BadInput as BadInput
+    from deepfracture.types import Breaker as Breaker
+    from deepfracture.types import FracturePattern as FracturePattern
+    from deepfracture.types import Fragment as Fragment
+    from deepfracture.types import Fragments as Fragments
+    from deepfracture.types import Grid as Grid
+    from deepfracture.types import Impact as Impact
+    from deepfracture.types import Material as Material
+    from deepfracture.types import Mesh as Mesh
+    from deepfracture.types import NoSolution as NoSolution
+    from deepfracture.types import Recording as Recording
+    from deepfracture.types import Shape as Shape
+    from deepfracture.types import Volume as Volume
+    from deepfracture.world import Ball as Ball
+    from deepfracture.world import Block as Block
+    from deepfracture.world import Floor as Floor
+    from deepfracture.world import Live as Live
+    from deepfracture.world import Outcome as Outcome
+    from deepfracture.world import Placed as Placed
+    from deepfracture.world import Scene as Scene
+    from deepfracture.world import load_scene as load_scene
 
 __version__ = "0.1.0"
 

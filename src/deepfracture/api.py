@@ -28,19 +28,19 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .breakers import AGAIN, make_breaker
-from .fracture import critical_stress
-from .fracture import material as preset_material
-from .geometry import closest, load_shape
-from .types import BadInput, Breaker, Floats, Fragments, Grid, Impact, Material, Recording, Shape
-from .words import meant
-from .world import UPRIGHT, Collision, Outcome, Scene, save_scene
-from .world import simulate as run_world
-from .world import throw_scene as built_scene
+from deepfracture.breakers import AGAIN, make_breaker
+from deepfracture.fracture import critical_stress
+from deepfracture.fracture import material as preset_material
+from deepfracture.geometry import closest, load_shape
+from deepfracture.runtime.suggest import meant
+from deepfracture.types import BadInput, Breaker, Floats, Fragments, Grid, Impact, Material, Recording, Shape
+from deepfracture.world import UPRIGHT, Collision, Outcome, Scene, save_scene
+from deepfracture.world import simulate as run_world
+from deepfracture.world import throw_scene as built_scene
 
 if TYPE_CHECKING:
-    from .dataset import Dataset
-    from .learn.report import Card
+    from deepfracture.dataset import Dataset
+    from deepfracture.learn.report import Card
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 DOWNWARD = 0.15
@@ -463,7 +463,7 @@ def simulate(
     Examples:
         >>> data = df.simulate(statue, "data/statue", collisions=240, speed=(8, 30))
     """
-    from .dataset import executor_named, simulate_collisions
+    from deepfracture.dataset import executor_named, simulate_collisions
 
     return simulate_collisions(
         shape, _material(material), Path(out), collisions=collisions, resolution=resolution, seed=seed,
@@ -518,9 +518,9 @@ def trained(
     minutes: float | None, device: str, seed: int,
 ) -> Card:  # fmt: skip
     """What `train` does, with all that is to be said of it."""
-    from .dataset import Dataset, open_dataset
-    from .learn import Config, fields
-    from .learn import train as train_waves
+    from deepfracture.dataset import Dataset, open_dataset
+    from deepfracture.learn import Config, fields
+    from deepfracture.learn import train as train_waves
 
     ours = preset == OURS
     if ours and width != 1:
@@ -589,7 +589,8 @@ def _writer(path: Path, what: str, writers: Mapping[str, Callable]) -> Callable:
 
 
 def _fragment_writers(shape: Shape) -> dict[str, Callable]:
-    from .export import exploded, write_fragments
+    from deepfracture.export import write_fragments
+    from deepfracture.render import exploded
 
     return {
         "": lambda fragments, path, **options: write_fragments(fragments, shape, path, **options),
@@ -598,8 +599,9 @@ def _fragment_writers(shape: Shape) -> dict[str, Callable]:
 
 
 def _recording_writers() -> dict[str, Callable]:
-    from .export import before_hit_after, write_film, write_glb, write_sequence, write_usd
-    from .viewer import write_page
+    from deepfracture.export import write_glb, write_sequence, write_usd
+    from deepfracture.render import before_hit_after, write_film
+    from deepfracture.viewer import write_page
 
     usd = dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), write_usd)
     others = {".html": write_page, ".mp4": write_film, ".png": before_hit_after, "": write_sequence}

@@ -65,7 +65,7 @@ def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
 
 def test_type_checkers_see_the_same_names_as_python() -> None:
     text = Path(df.__file__).read_text(encoding="utf-8")
-    imported = set(re.findall(r"^    from \.\w+ import (\w+) as \1$", text, re.M))
+    imported = set(re.findall(r"^    from deepfracture\.\w+ import (\w+) as \1$", text, re.M))
     assert imported == set(df._HOME)
 
 

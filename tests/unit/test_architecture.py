@@ -8,23 +8,26 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parents[2] / "src" / "deepfracture"
-SHARED = {"types", "progress", "memory", "extras", "words", "threads", "awake", "files", "lock"}
+SHARED = {"types", "runtime"}
 ARROWS = {
+    "runtime": set(),
     "geometry": set(),
     "fracture": {"geometry"},
     "carve": {"geometry"},
     "world": {"geometry"},
-    "export": {"geometry"},
+    "recording": {"geometry"},
+    "render": {"geometry", "recording"},
+    "export": {"geometry", "recording"},
     "dataset": {"geometry", "fracture", "carve", "world"},
     "compare": {"geometry", "carve"},
     "learn": {"geometry", "carve", "compare", "dataset"},
     "breakers": {"geometry", "fracture", "carve", "dataset", "learn"},
     "evaluate": {"geometry", "carve", "compare", "dataset", "learn", "breakers"},
     "validation": {"geometry", "fracture", "world"},
-    "viewer": {"world", "export"},
-    "play": {"geometry", "fracture", "learn", "breakers", "world", "export", "viewer"},
+    "viewer": {"world", "recording", "render", "export"},
+    "play": {"geometry", "fracture", "learn", "breakers", "world", "recording", "render", "export", "viewer"},
     "soak": {"geometry", "fracture", "learn", "breakers", "world", "validation"},
-    "bench": {"geometry", "fracture", "carve", "world", "export", "dataset", "learn", "breakers", "viewer"},
+    "bench": {"geometry", "fracture", "carve", "world", "export", "dataset", "learn", "breakers", "render", "viewer"},
 }
 HEAVY = {
     "torch": {"learn"},

@@ -329,7 +329,7 @@ def test_fragments_at_rest_stay_at_rest(engine: str, name: str) -> None:
     shape = builtin(name)
     pieces = _pieces(shape.mesh, _planes(np.random.default_rng(3), 5, 0.3))
     assert len(pieces) > 8
-    from deepfracture.world.hulls import piece_hulls
+    from deepfracture.geometry.convex.hulls import piece_hulls
 
     world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
     bodies = [
@@ -406,8 +406,8 @@ def test_fragments_with_rough_cracks_do_not_jump(engine: str) -> None:
     """Wavy cracks: the hulls of neighbours would overlap by centimetres. At rest, none gains more than 2 % of
     the kinetic energy that it would have at 1 m/s."""
     from deepfracture.carve import cut
+    from deepfracture.geometry.convex.hulls import piece_hulls
     from deepfracture.types import FracturePattern, Grid
-    from deepfracture.world.hulls import piece_hulls
 
     shape, grid = builtin("bar"), Grid(64)
     x, y, z = np.moveaxis(grid.centres(), -1, 0)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from deepfracture.bench.carve import bench_carve
+from deepfracture.bench.fracture import bench_fracture
+from deepfracture.bench.learn import bench_learn
+from deepfracture.bench.record import comparison, keep, last, stamp
+from deepfracture.bench.rows import Row, table
+from deepfracture.bench.world import bench_world
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Shape
-from deepfracture.words import meant
-
-from .carve import bench_carve
-from .fracture import bench_fracture
-from .learn import bench_learn
-from .record import comparison, keep, last, stamp
-from .rows import Row, table
-from .world import bench_world
 
 __all__ = ["BENCHES", "Row", "bench", "comparison", "keep", "last", "stamp", "table"]
 

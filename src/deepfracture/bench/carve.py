@@ -9,19 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfracture.bench.hits import random_hits
+from deepfracture.bench.paper import paper_seconds
+from deepfracture.bench.pieces import DENSITY, cells
+from deepfracture.bench.reference import installed, reference_cut, reference_labels, reference_surfaces
+from deepfracture.bench.rows import RUNS, Row, measure, seconds, stage_totals
 from deepfracture.carve import cut, encode, segment, segment_as_published
 from deepfracture.fracture import material
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import Model, embedded_model, load_model, predict
-from deepfracture.memory import peak_mb
-from deepfracture.progress import Stopwatch, collect_stages, log
+from deepfracture.runtime.memory import peak_mb
+from deepfracture.runtime.progress import Stopwatch, collect_stages, log
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Impact, Shape, Volume
-
-from .hits import random_hits
-from .paper import paper_seconds
-from .pieces import DENSITY, cells
-from .reference import installed, reference_cut, reference_labels, reference_surfaces
-from .rows import RUNS, Row, measure, seconds, stage_totals
 
 HITS = 24
 """Random collisions, of which the one that is predicted to leave about `FRAGMENTS` is measured."""

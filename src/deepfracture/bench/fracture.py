@@ -9,14 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.files import scratch
+from deepfracture.bench.hits import random_hits
+from deepfracture.bench.rows import RUNS, WHOLE, Row, median_seconds, seconds, stage_totals
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
-from deepfracture.memory import peak_mb
-from deepfracture.progress import collect_stages
+from deepfracture.runtime.files import scratch
+from deepfracture.runtime.memory import peak_mb
+from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import Grid, Impact, Shape
-
-from .hits import random_hits
-from .rows import RUNS, WHOLE, Row, median_seconds, seconds, stage_totals
 
 MATERIAL = "plaster"
 HITS = 12

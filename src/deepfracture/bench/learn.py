@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfracture.bench.hits import random_hits
+from deepfracture.bench.paper import paper_seconds
+from deepfracture.bench.rows import Row, measure
 from deepfracture.fracture import material
 from deepfracture.geometry import load_shape
 from deepfracture.learn import embedded_model, load_model, predict
 from deepfracture.types import Shape
-
-from .hits import random_hits
-from .paper import paper_seconds
-from .rows import Row, measure
 
 SHIPPED = "pot"
 """The shape whose model is measured where the one asked for has none of its own."""

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from deepfracture import __version__
+from deepfracture.bench.rows import Row
 from deepfracture.types import BadInput
-
-from .rows import Row
 
 LIBRARIES = ("numpy", "scipy", "numba", "manifold3d", "rapier3d")
 """Whose versions may change how long something takes."""
@@ -50,7 +49,7 @@ def processor() -> str:
 
 def keep(rows: Sequence[Row], folder: Path, made: dict[str, Any]) -> Path:
     """Write the rows with their stamp into a file of their own in `folder`; its path."""
-    from deepfracture.export.files import replacing
+    from deepfracture.runtime.files import replacing
 
     path = folder / f"bench-{made['date'].replace(':', '').replace('+0000', 'Z')}.json"
     with replacing(path) as temporary:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.memory import peak_mb
-from deepfracture.progress import Stage
+from deepfracture.runtime.memory import peak_mb
+from deepfracture.runtime.progress import Stage
 
 RUNS = 5
 """Warm runs whose median counts."""

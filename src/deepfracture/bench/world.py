@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from deepfracture.bench.pieces import cells
+from deepfracture.bench.rows import RUNS, Row, seconds
 from deepfracture.carve import cut
 from deepfracture.fracture import material
 from deepfracture.geometry import voxels_inside
-from deepfracture.memory import peak_mb
+from deepfracture.runtime.memory import peak_mb
 from deepfracture.types import BadInput, Fragments, Grid, Material, Shape
 from deepfracture.world import Scene, throw_scene
 from deepfracture.world.stage import Hit, Stage
-
-from .pieces import cells
-from .rows import RUNS, Row, seconds
 
 STEPS = 60
 """Steps of the engine that follow the break, a quarter of a second: fragments still touch each other."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from deepfracture.carve import coarsened, cut
 from deepfracture.fracture import breaks
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Fragments, Impact, Material, Shape
 
 

@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.progress import log
+from deepfracture.breakers.base import PatternBreaker, PatternSource
+from deepfracture.runtime.progress import log
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape, Volume
-from deepfracture.words import meant
-
-from .base import PatternBreaker, PatternSource
 
 if TYPE_CHECKING:
+    from deepfracture.breakers.recalled import Memory
     from deepfracture.learn import Model
     from deepfracture.learn.fields.model import FieldModel
-
-    from .recalled import Memory
 
 BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
 AGAIN = ("learned", "physical", "voronoi")
@@ -52,24 +50,24 @@ def make_source(
 ) -> PatternSource:
     """What is inside `make_breaker`: only the pattern, without criterion and cut."""
     if name == "physical":
-        from .physical import Physical
+        from deepfracture.breakers.physical import Physical
 
         return Physical(material, grid)
     if name == "voronoi":
-        from .voronoi import Voronoi
+        from deepfracture.breakers.voronoi import Voronoi
 
         return Voronoi(material, grid)
     if name == "learned":
         return _learned(shape, material, model)
     if name == "cvd":
-        from .cvd import CentroidalVoronoi, fitted_count
-        from .voronoi import count_by_stress
+        from deepfracture.breakers.cvd import CentroidalVoronoi, fitted_count
+        from deepfracture.breakers.voronoi import count_by_stress
 
         by_stress = partial(count_by_stress, material=material)
         return CentroidalVoronoi(by_stress if memory is None else fitted_count(memory), grid)
     if name in ("nearest", "random"):
-        from .nearest import Nearest
-        from .recalled import Random
+        from deepfracture.breakers.nearest import Nearest
+        from deepfracture.breakers.recalled import Random
 
         if memory is None:
             raise BadInput(
@@ -110,9 +108,8 @@ def ways(shape: Shape, material: Material, path: Path, memory: Memory | None = N
 
 
 def _wave_ways(shape: Shape, material: Material, path: Path, memory: Memory | None) -> dict[str, PatternSource]:
+    from deepfracture.breakers.learned import Learned, Typical
     from deepfracture.learn import AS_PUBLISHED, OURS, Way, load_model, predictions
-
-    from .learned import Learned, Typical
 
     model = load_model(path)
     _check(model, shape, material, path)
@@ -139,9 +136,8 @@ def _weakest(model: Model) -> float:
 
 
 def _field_ways(shape: Shape, material: Material, path: Path) -> dict[str, PatternSource]:
+    from deepfracture.breakers.learned import Learned
     from deepfracture.learn.fields import load_field_model
-
-    from .learned import Learned
 
     model = load_field_model(path)
     _check(model, shape, material, path)
@@ -171,9 +167,8 @@ def recall(shape: Shape, path: Path) -> Memory:
     """The simulated patterns of `shape` in the folder `path`, to be read when they are needed.
 
     Raises `BadInput` when there are none, or they are of another shape."""
+    from deepfracture.breakers.recalled import Memory
     from deepfracture.dataset import open_dataset
-
-    from .recalled import Memory
 
     dataset = open_dataset(path)
     if len(dataset) == 0:

@@ -9,15 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from deepfracture.breakers.inside import Inside
+from deepfracture.breakers.recalled import Memory
+from deepfracture.breakers.voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
 from deepfracture.carve import voronoi_pattern
 from deepfracture.fracture.separate import merge_dust
 from deepfracture.fracture.simulate import SMALLEST_CELLS
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import Floats, FracturePattern, Grid, Impact, Shape
-
-from .inside import Inside
-from .recalled import Memory
-from .voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
 
 ROUNDS = 20
 """Of Lloyd's algorithm; the cells hardly change any more."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepfracture.geometry import voxels_inside
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import BadInput, Floats, Grid, Shape
 
 THINNEST = 0.02

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deepfracture.breakers.recalled import Memory
+from deepfracture.breakers.restrict import on_whole, restricted
 from deepfracture.carve import segment
-from deepfracture.progress import log, stage
+from deepfracture.runtime.progress import log, stage
 from deepfracture.types import FracturePattern, Impact, Shape, Volume
-
-from .recalled import Memory
-from .restrict import on_whole, restricted
 
 if TYPE_CHECKING:
     from deepfracture.learn import Model

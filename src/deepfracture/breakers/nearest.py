@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepfracture.breakers.recalled import Memory
 from deepfracture.learn import normalise_impact
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Impact, Shape
-
-from .recalled import Memory
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from deepfracture.fracture import FractureBody, Pieces, prepare_body, simulate
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Shape
 
 

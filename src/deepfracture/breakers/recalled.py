@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from deepfracture.dataset import Dataset
 from deepfracture.learn import normalise_impact
-from deepfracture.progress import stage, track
+from deepfracture.runtime.progress import stage, track
 from deepfracture.types import Floats, FracturePattern, Grid, Impact, Shape
 
 

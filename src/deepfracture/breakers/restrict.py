@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.parts import connected_labels
+from deepfracture.carve.segmentation.components import connected_labels
 from deepfracture.geometry import voxels_inside
 from deepfracture.types import RESOLUTIONS, Floats, FracturePattern, Grid, Impact, Shape
 

@@ -7,12 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from deepfracture.breakers.inside import Inside
 from deepfracture.carve import voronoi_pattern
 from deepfracture.fracture import critical_stress
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Shape
-
-from .inside import Inside
 
 CELLS_AT_THRESHOLD = 4
 MOST_CELLS = 60

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from deepfracture.carve.parts import connected_labels
+from deepfracture.carve.segmentation.components import connected_labels
 from deepfracture.geometry.sampled import FAR
 from deepfracture.types import BadInput, FracturePattern, Grid
 

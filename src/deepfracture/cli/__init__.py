@@ -1,5 +1,5 @@
 """The command line: each command is a typed function over the rooms. Only here are all rooms known."""
 
-from .main import main
+from deepfracture.cli.main import main
 
 __all__ = ["main"]

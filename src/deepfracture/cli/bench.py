@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 
 def bench(
@@ -17,8 +17,8 @@ def bench(
     in a folder with the machine and the date, and says how they compare with the last ones there."""
     from deepfracture.bench import bench as run
     from deepfracture.bench import comparison, keep, last, stamp, table
-    from deepfracture.export.files import replacing
     from deepfracture.geometry import load_shape
+    from deepfracture.runtime.files import replacing
 
     made = stamp()
     before = None if record is None else last(record, made)  # complains before the minutes that follow

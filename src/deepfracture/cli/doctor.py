@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import deepfracture
-from deepfracture.extras import has, pip_line
-from deepfracture.files import scratch
+from deepfracture.runtime.extras import has, pip_line
+from deepfracture.runtime.files import scratch
 
 BASE = ("numpy", "scipy", "numba", "manifold3d", "rapier3d", "trimesh", "pillow")
 """Distributions whose versions matter when something goes wrong."""

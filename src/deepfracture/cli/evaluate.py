@@ -10,8 +10,8 @@ from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import evaluate as run
 from deepfracture.evaluate import refuse_overlap, write_report
 from deepfracture.evaluate.report import score_table
-from deepfracture.extras import need
-from deepfracture.progress import log
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Grid
 
 

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepfracture.export import before_hit_after, write_film, write_fragments, write_glb, write_sequence, write_usd
-from deepfracture.extras import left_out, need
-from deepfracture.progress import stage
+from deepfracture.export import write_fragments, write_glb, write_sequence, write_usd
+from deepfracture.render import before_hit_after, write_film
+from deepfracture.runtime.extras import left_out, need
+from deepfracture.runtime.progress import stage
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput
 from deepfracture.viewer import write_page
-from deepfracture.words import meant
 from deepfracture.world import Outcome, Scene
 
 

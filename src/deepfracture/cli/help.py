@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput
-from deepfracture.words import meant
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "shatter": (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 
 

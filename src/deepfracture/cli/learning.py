@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from deepfracture import api
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 
 def simulate(

@@ -12,13 +12,12 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
-from deepfracture.files import advice
-from deepfracture.progress import log
+from deepfracture.cli.help import asks_for_help, check_command, closing
+from deepfracture.cli.manner import Manner, profiled, set_logging, split_manner
+from deepfracture.runtime.files import advice
+from deepfracture.runtime.progress import log
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, NoSolution
-from deepfracture.words import meant
-
-from .help import asks_for_help, check_command, closing
-from .manner import Manner, profiled, set_logging, split_manner
 
 NAME = "deepfracture"
 SHELLS = ("bash", "zsh", "fish", "tcsh")
@@ -81,7 +80,7 @@ def shatter(
         formats: what to write: page, glb, picture, film, fragments (these by default), usd, usda, usdz, obj-sequence,
             ply-sequence.
     """
-    from .shatter import shatter as run
+    from deepfracture.cli.shatter import shatter as run
 
     run(
         shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, model=model, dataset=dataset,
@@ -112,7 +111,7 @@ def play(
         upload_limit: largest mesh that can be dropped onto the page [MB].
         most_tabs: tabs that play at once, each a world of its own.
     """
-    from .play import play as run
+    from deepfracture.cli.play import play as run
 
     run(shape, model=model, up=up, host=host, port=port, upload_limit=upload_limit, most_tabs=most_tabs)
 
@@ -162,7 +161,7 @@ def simulate(
         seed: the same seed gives the same bytes, however many workers.
         repair: mend a mesh that is not closed.
     """
-    from .learning import simulate as run
+    from deepfracture.cli.learning import simulate as run
 
     run(
         shape, out=out, collisions=collisions, material=material, resolution=resolution, speed=speed,
@@ -183,7 +182,7 @@ def convert(
         old: folder or s3://BUCKET/PREFIX of the data set.
         new: folder or s3://BUCKET/PREFIX that it is to lie in.
     """
-    from .learning import convert as run
+    from deepfracture.cli.learning import convert as run
 
     run(old, new)
 
@@ -214,7 +213,7 @@ def train(
         device: auto, cpu, cuda or mps.
         seed: of the initial weights and the order of samples.
     """
-    from .learning import train as run
+    from deepfracture.cli.learning import train as run
 
     run(
         dataset, out=out, preset=preset, width=width, features=features, epochs=epochs, minutes=minutes,
@@ -246,7 +245,7 @@ def evaluate(
         draws: random codes for each collision.
         seed: the same seed gives the same numbers.
     """
-    from .evaluate import evaluate as run
+    from deepfracture.cli.evaluate import evaluate as run
 
     run(held, dataset=dataset, model=model, breakers=breakers, ablation=ablation, out=out, draws=draws, seed=seed)
 
@@ -258,7 +257,7 @@ def info(path: Annotated[Positional[str], tyro.conf.arg(metavar="FILE")], /) -> 
     Args:
         path: the file or folder, or the name of a built-in shape.
     """
-    from .info import info as run
+    from deepfracture.cli.info import info as run
 
     run(path)
 
@@ -283,7 +282,7 @@ def bench(
         json: also write the rows to this file.
         record: folder that keeps them with the machine and the date, and compares with the last ones there.
     """
-    from .bench import bench as run
+    from deepfracture.cli.bench import bench as run
 
     run(room, shape=shape, resolution=resolution, model=model, json_file=json, record=record)
 
@@ -320,7 +319,7 @@ def soak(
         data: folder that holds a data set for each shape, by its name, for nearest and random.
         repair: mend meshes that are not closed.
     """
-    from .soak import soak as run
+    from deepfracture.cli.soak import soak as run
 
     if not run(
         shapes, hits=hits, breakers=breakers, seed=seed, out=out, workers=workers, limit=limit,
@@ -338,7 +337,7 @@ def validate(json: Path | None = None, plots: Path | None = None, quick: bool = 
         plots: also draw each case into this folder.
         quick: smaller bodies and fewer repetitions, the same limits.
     """
-    from .validate import validate as run
+    from deepfracture.cli.validate import validate as run
 
     if not run(json_file=json, plots=plots, quick=quick):
         sys.exit(1)
@@ -347,7 +346,7 @@ def validate(json: Path | None = None, plots: Path | None = None, quick: bool = 
 @app.command
 def warm() -> None:
     """Compile and cache the kernels, so that later commands start at once."""
-    from .warm import warm as run
+    from deepfracture.cli.warm import warm as run
 
     run()
 
@@ -355,7 +354,7 @@ def warm() -> None:
 @app.command
 def doctor() -> None:
     """Say which optional parts work on this machine, and what to type to install those that are missing."""
-    from .doctor import doctor as run
+    from deepfracture.cli.doctor import doctor as run
 
     run()
 
@@ -372,7 +371,7 @@ def export_onnx(
         model: trained weights, or a built-in shape whose weights ship.
         out: the .onnx file.
     """
-    from .onnx import export_onnx as run
+    from deepfracture.cli.onnx import export_onnx as run
 
     run(model, out=out)
 

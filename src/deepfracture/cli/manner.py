@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from deepfracture.progress import Stage, collect_stages, hush, log
+from deepfracture.runtime.progress import Stage, collect_stages, hush, log
 from deepfracture.types import BadInput
 
 

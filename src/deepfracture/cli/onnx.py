@@ -7,9 +7,9 @@ from pathlib import Path
 from deepfracture.learn import embedded_model, load_model
 from deepfracture.learn.fields import kind_of
 from deepfracture.learn.onnx import export_onnx as export
-from deepfracture.progress import log, stage
+from deepfracture.runtime.progress import log, stage
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput
-from deepfracture.words import meant
 
 
 def export_onnx(name: str, *, out: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 
 def play(

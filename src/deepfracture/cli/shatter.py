@@ -12,18 +12,18 @@ import numpy as np
 
 from deepfracture.api import scene_breaker, throw_scene
 from deepfracture.cli.formats import check_formats, write_formats
-from deepfracture.files import filling
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import faults, load_shape
-from deepfracture.lock import alone
-from deepfracture.progress import Stage, collect_stages, log, stage
+from deepfracture.runtime.files import filling
+from deepfracture.runtime.lock import alone
+from deepfracture.runtime.progress import Stage, collect_stages, log, stage
 from deepfracture.types import Material
 from deepfracture.world import Outcome, Scene, load_scene, save_scene
 from deepfracture.world import simulate as run_world
 
 if TYPE_CHECKING:
-    from .main import Throw
+    from deepfracture.cli.main import Throw
 
 REPORT = "report.json"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 
 def soak(
@@ -12,7 +12,7 @@ def soak(
     limit: float, resolution: int | None, engine: str, model: Path | None, data: Path | None, repair: bool,
 ) -> bool:  # fmt: skip
     """Hit and check, say what came of it; whether all was well."""
-    from deepfracture.export.files import replacing
+    from deepfracture.runtime.files import replacing
     from deepfracture.soak import Settings, summary
     from deepfracture.soak import soak as run
     from deepfracture.soak.results import sound

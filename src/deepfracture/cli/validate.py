@@ -7,9 +7,9 @@ import logging
 import sys
 from pathlib import Path
 
-from deepfracture.extras import need
-from deepfracture.files import replacing
-from deepfracture.progress import log
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log
 
 COLUMNS = f"{'case':<60} {'exact':>11} {'ours':>11} {'error':>9} {'limit':>9}  {'ok':<3} {'N':>5} {'seconds':>8}"
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 import time
 
-from deepfracture.files import scratch
-from deepfracture.progress import log
+from deepfracture.runtime.files import scratch
+from deepfracture.runtime.progress import log
 
 
 def warm() -> None:
     """Compile and cache all kernels by breaking small things in a temporary folder; a second call is quick."""
-    from .main import Throw
-    from .shatter import shatter
+    from deepfracture.cli.main import Throw
+    from deepfracture.cli.shatter import shatter
 
     log.info("compiling the kernels, once a machine, two to five minutes ...")
     start, level = time.perf_counter(), log.level

@@ -24,7 +24,7 @@ from deepfracture.dataset.store import (
     stored_objects,
     unreadable,
 )
-from deepfracture.progress import log, track
+from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Grid
 
 FORMER = (1, 2)

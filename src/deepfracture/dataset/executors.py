@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 from deepfracture.dataset.guard import Guarded, Job, collision_seed
 from deepfracture.dataset.store import write_failed
-from deepfracture.extras import need
-from deepfracture.progress import log
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.progress import log
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput
-from deepfracture.words import meant
 
 EXECUTORS = ("local", "ray")
 LOSSES = 10

@@ -14,9 +14,9 @@ from deepfracture.dataset.executors import Executor, Local
 from deepfracture.dataset.guard import Collide, Job, Outcome
 from deepfracture.dataset.storage import Folder
 from deepfracture.dataset.store import Dataset, Settings, create, done, forget, open_dataset
-from deepfracture.progress import log, track
+from deepfracture.runtime.progress import log, track
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Grid, Material, Shape
-from deepfracture.words import meant
 
 LIMIT = 600.0
 """Seconds after which a collision is given up, if nobody says otherwise."""

@@ -24,8 +24,8 @@ from deepfracture.dataset.arrays import shards
 from deepfracture.dataset.record import LARGEST, Record, record_key
 from deepfracture.dataset.storage import Storage, storage_at
 from deepfracture.dataset.store import MANIFEST, Settings, put, read_manifest, write_failed, write_unbroken
-from deepfracture.progress import hush, log
-from deepfracture.threads import one_thread_each
+from deepfracture.runtime.parallel import one_thread_each
+from deepfracture.runtime.progress import hush, log
 from deepfracture.types import BadInput, FracturePattern, Impact, NoSolution
 
 ATTEMPTS = 2

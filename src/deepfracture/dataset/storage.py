@@ -18,8 +18,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from deepfracture.extras import need
-from deepfracture.files import advice, scratch, sweep
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.files import advice, scratch, sweep
 from deepfracture.types import BadInput
 
 ABREAST = 32

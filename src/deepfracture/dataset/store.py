@@ -38,8 +38,8 @@ from deepfracture.dataset.arrays import (
 )
 from deepfracture.dataset.record import FOLDER, LARGEST, NAME, Record, Stored, parse, read_record, record_key
 from deepfracture.dataset.storage import NotReached, Storage, storage_at
-from deepfracture.extras import has, need
-from deepfracture.progress import track
+from deepfracture.runtime.extras import has, need
+from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Mesh, Shape
 
 OLDEST = (3, 11)

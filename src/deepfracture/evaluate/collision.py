@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from deepfracture.breakers import PatternSource
 from deepfracture.compare import MEASURES, Traits, distances, traits_of
 from deepfracture.dataset import Sample
-from deepfracture.progress import collect_stages
+from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import BadInput, FracturePattern, Impact, Ints, Shape
 
 Distances = dict[str, float]

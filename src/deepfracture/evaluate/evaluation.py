@@ -15,8 +15,8 @@ from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset
 from deepfracture.evaluate.collision import Answer, Collision, Measured, measure
 from deepfracture.evaluate.sensitivity import sensitivities
-from deepfracture.files import replacing
-from deepfracture.progress import track
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, Impact, Shape
 
 FORMAT = 1

@@ -11,7 +11,7 @@ import numpy as np
 from deepfracture.compare import MEASURES
 from deepfracture.evaluate.evaluation import Evaluation
 from deepfracture.evaluate.summary import Interval, Summary, mott_larger, relative_volumes, simulated
-from deepfracture.files import replacing
+from deepfracture.runtime.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from deepfracture.compare import MEASURES
 from deepfracture.evaluate.evaluation import Evaluation
 from deepfracture.evaluate.plots import plot_counts, plot_scores, plot_volumes
 from deepfracture.evaluate.summary import BASELINE, Interval, Summary, floors, simulated, summarise
-from deepfracture.files import replacing
+from deepfracture.runtime.files import replacing
 
 UNITS = {"centre": "m", "chamfer": "m", "division": "bits"}
 """Of measures that are not ratios."""

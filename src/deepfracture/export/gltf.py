@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import __version__
-from ..types import Floats, Recording, Track
-from .files import replacing
-from .motion import continuous, keys, pivot, pivot_positions, quat_of, shortest_turn, similarity
-from .names import body_names
-from .surface import METALLIC, ROUGHNESS, Surface, linear, track_surfaces
+from deepfracture import __version__
+from deepfracture.export.names import body_names
+from deepfracture.recording.motion import continuous, keys, pivot, pivot_positions, quat_of, shortest_turn, similarity
+from deepfracture.recording.surface import METALLIC, ROUGHNESS, Surface, linear, track_surfaces
+from deepfracture.runtime.files import replacing
+from deepfracture.types import Floats, Recording, Track
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2

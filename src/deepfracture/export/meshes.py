@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.appearance import carried
-from ..types import Appearance, Floats, Fragment, Fragments, Shape
-from .files import replacing_folder
-from .surface import COLOURS, painted
-from .wavefront import write_library, write_obj
+from deepfracture.export.wavefront import write_library, write_obj
+from deepfracture.geometry.appearance import carried
+from deepfracture.recording.surface import COLOURS, painted
+from deepfracture.runtime.files import replacing_folder
+from deepfracture.types import Appearance, Floats, Fragment, Fragments, Shape
 
 
 def write_fragments(fragments: Fragments, shape: Shape, folder: str | os.PathLike) -> list[Path]:

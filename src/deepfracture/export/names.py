@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from ..types import Recording, Track
+from deepfracture.types import Recording, Track
 
 
 def body_names(recording: Recording) -> list[str]:

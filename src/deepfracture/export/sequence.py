@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..progress import track as with_progress
-from ..types import BadInput, Floats, Ints, Recording, Track
-from .files import replacing_folder
-from .meshes import texels
-from .motion import continuous, pivot, pivot_positions, rotation_matrices, similarity
-from .names import body_names
-from .surface import Surface, track_surfaces
-from .wavefront import material_lines, picture_name
+from deepfracture.export.meshes import texels
+from deepfracture.export.names import body_names
+from deepfracture.export.wavefront import material_lines, picture_name
+from deepfracture.recording.motion import continuous, pivot, pivot_positions, rotation_matrices, similarity
+from deepfracture.recording.surface import Surface, track_surfaces
+from deepfracture.runtime.files import replacing_folder
+from deepfracture.runtime.progress import track as with_progress
+from deepfracture.types import BadInput, Floats, Ints, Recording, Track
 
 LIBRARY = "materials.mtl"
 NEAR = 1e-9

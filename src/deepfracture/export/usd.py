@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import __version__
-from ..extras import need
-from ..types import BadInput, Floats, Recording, Rigid, Touch, Track
-from .files import replacing, replacing_folder
-from .motion import (
+from deepfracture import __version__
+from deepfracture.export.names import body_names
+from deepfracture.export.usd_looks import Looks
+from deepfracture.recording.motion import (
     break_frame,
     continuous,
     keys,
@@ -29,9 +28,10 @@ from .motion import (
     shortest_turn,
     similarity,
 )
-from .names import body_names
-from .surface import track_surfaces
-from .usd_looks import Looks
+from deepfracture.recording.surface import track_surfaces
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.files import replacing, replacing_folder
+from deepfracture.types import BadInput, Floats, Recording, Rigid, Touch, Track
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..types import Floats, Floats32
-from .names import identifier, unused
-from .surface import METALLIC, ROUGHNESS, Surface, linear
-from .wavefront import picture_name
+from deepfracture.export.names import identifier, unused
+from deepfracture.export.wavefront import picture_name
+from deepfracture.recording.surface import METALLIC, ROUGHNESS, Surface, linear
+from deepfracture.types import Floats, Floats32
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, UsdShade

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.appearance import INNER
-from ..types import Appearance, Finish, Fragment, Shape
-from .surface import COLOURS
+from deepfracture.geometry.appearance import INNER
+from deepfracture.recording.surface import COLOURS
+from deepfracture.types import Appearance, Finish, Fragment, Shape
 
 LIBRARY = "fragments.mtl"
 

@@ -1,11 +1,11 @@
 """Brittle fracture: elastostatics by boundary elements, contact, and cracks that grow."""
 
-from .body import FractureBody, prepare_body
-from .contact import breaks, critical_stress
-from .materials import MATERIALS, material
-from .mechanisms import Mechanisms
-from .similar import Pieces, prepare_piece, similar
-from .simulate import Cracking, simulate
+from deepfracture.fracture.body import FractureBody, prepare_body
+from deepfracture.fracture.contact import breaks, critical_stress
+from deepfracture.fracture.materials import MATERIALS, material
+from deepfracture.fracture.mechanisms import Mechanisms
+from deepfracture.fracture.similar import Pieces, prepare_piece, similar
+from deepfracture.fracture.simulate import Cracking, simulate
 
 __all__ = [
     "MATERIALS",

@@ -8,11 +8,10 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
+from deepfracture.fracture.cache import distances, elastic_body
+from deepfracture.fracture.elastostatics import ElasticBody
+from deepfracture.fracture.lattice import Lattice
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Material, Shape
-
-from .cache import distances, elastic_body
-from .elastostatics import ElasticBody
-from .lattice import Lattice
 
 ELEMENTS = 1500
 """Boundary elements of a body, about."""

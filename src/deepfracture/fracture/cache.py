@@ -10,13 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from deepfracture.files import replacing
+from deepfracture.fracture.elastostatics import ElasticBody, prepare
+from deepfracture.fracture.lattice import Lattice
 from deepfracture.geometry import remesh, signed_distance_lattice
-from deepfracture.progress import log, stage
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import log, stage
 from deepfracture.types import BadInput, Floats32, Mesh
-
-from .elastostatics import ElasticBody, prepare
-from .lattice import Lattice
 
 VERSION = 2
 """Changes when the same mesh would be remeshed or factorised to something else, or its distances change."""

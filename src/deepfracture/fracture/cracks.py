@@ -6,17 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepfracture.progress import Stopwatch
+from deepfracture.fracture.body import FractureBody
+from deepfracture.fracture.growth import Front, Ramp, grow
+from deepfracture.fracture.mechanisms import Mechanisms
+from deepfracture.fracture.openings import Openings
+from deepfracture.fracture.separate import open_faces
+from deepfracture.fracture.sheet import SheetSolver
+from deepfracture.fracture.stress import StressState
+from deepfracture.fracture.variation import Variation
+from deepfracture.runtime.progress import Stopwatch
 from deepfracture.types import Floats, Floats32
-
-from .body import FractureBody
-from .growth import Front, Ramp, grow
-from .mechanisms import Mechanisms
-from .openings import Openings
-from .separate import open_faces
-from .sheet import SheetSolver
-from .stress import StressState
-from .variation import Variation
 
 MAX_CRACKS = 400
 """A guard, far above what any load reached in tests."""

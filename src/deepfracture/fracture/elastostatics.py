@@ -21,7 +21,6 @@ import numpy as np
 from numba import prange
 from numpy.typing import ArrayLike
 
-from deepfracture.files import replacing
 from deepfracture.fracture.integrals import (
     Panels,
     kernel,
@@ -30,6 +29,7 @@ from deepfracture.fracture.integrals import (
     triangle_integrals,
 )
 from deepfracture.geometry import mass_properties
+from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats, Ints, Labels, Mesh, NoSolution
 
 FAR = 3.0

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from deepfracture.fracture.lattice import Lattice, interpolate
 from deepfracture.types import Floats, Floats32, Ints
-
-from .lattice import Lattice, interpolate
 
 BAND = 1.5
 """Voxels whose centre lies within this many spacings of the sheet take part in the march."""

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Material
-from deepfracture.words import meant
 
 _PRESETS = (
     # Soda-lime float glass. EN 572-1: E 70 GPa, ν 0.2 (makers measure 72 GPa and 0.23), 2500 kg/m^3, characteristic

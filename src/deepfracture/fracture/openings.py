@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from deepfracture.fracture.body import FractureBody
+from deepfracture.fracture.cracked import CrackedSolid
+from deepfracture.fracture.growth import Crack, Front
 from deepfracture.types import Floats, Ints
-
-from .body import FractureBody
-from .cracked import CrackedSolid
-from .growth import Crack, Front
 
 
 @njit(cache=True)

@@ -8,9 +8,8 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
+from deepfracture.fracture.growth import Crack, Front
 from deepfracture.types import Floats, Labels
-
-from .growth import Crack, Front
 
 
 @njit(cache=True)

@@ -13,9 +13,8 @@ import numpy as np
 from numba import njit
 from scipy.fft import dctn, idctn
 
+from deepfracture.fracture.lattice import Lattice
 from deepfracture.types import Floats, Floats32
-
-from .lattice import Lattice
 
 SWEEPS = 3
 """Rounds in which the signs of the line field and the direction where it is weak are brought in line."""

@@ -19,12 +19,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deepfracture.progress import log, stage
+from deepfracture.fracture.body import FractureBody, prepare_body
+from deepfracture.fracture.contact import breaks
+from deepfracture.fracture.simulate import simulate
+from deepfracture.runtime.progress import log, stage
 from deepfracture.types import RESOLUTIONS, BadInput, FracturePattern, Grid, Impact, Material, Shape
-
-from .body import FractureBody, prepare_body
-from .contact import breaks
-from .simulate import simulate
 
 PIECE_ELEMENTS = 500
 """Boundary elements of a fragment: a third of a whole shape's, so an eighth of the factorisation."""

@@ -13,21 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepfracture.fracture.body import FractureBody
+from deepfracture.fracture.contact import breaks, contacts, tractions
+from deepfracture.fracture.cracked import CrackedSolid
+from deepfracture.fracture.cracks import Cracks
+from deepfracture.fracture.elastostatics import solve
+from deepfracture.fracture.interior import stress_at
+from deepfracture.fracture.lattice import MARGIN
+from deepfracture.fracture.mechanisms import Mechanisms
+from deepfracture.fracture.separate import fragments_of
+from deepfracture.fracture.stress import Load, StressState
+from deepfracture.fracture.variation import Variation
 from deepfracture.geometry import distance_to_samples
-from deepfracture.progress import stage
+from deepfracture.runtime.progress import stage
 from deepfracture.types import Floats, FracturePattern, Impact
-
-from .body import FractureBody
-from .contact import breaks, contacts, tractions
-from .cracked import CrackedSolid
-from .cracks import Cracks
-from .elastostatics import solve
-from .interior import stress_at
-from .lattice import MARGIN
-from .mechanisms import Mechanisms
-from .separate import fragments_of
-from .stress import Load, StressState
-from .variation import Variation
 
 SMALLEST_CELLS = 64
 """Pieces of fewer voxels, a cube of four, are dust and join a neighbour."""

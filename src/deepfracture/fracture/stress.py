@@ -8,10 +8,9 @@ import numpy as np
 from numba import njit
 from scipy.spatial import KDTree
 
+from deepfracture.fracture.body import FractureBody
+from deepfracture.fracture.cracked import CrackedSolid
 from deepfracture.types import Floats, Floats32
-
-from .body import FractureBody
-from .cracked import CrackedSolid
 
 SWEEPS = 12
 """Rounds of Jacobi's rotations; five reach double precision."""

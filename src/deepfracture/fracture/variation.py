@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepfracture.fracture.lattice import Lattice
 from deepfracture.types import Floats32, Material
-
-from .lattice import Lattice
 
 WAVES = (0.5, 0.25, 0.12)
 """Lengths of the waviness of crack surfaces [m]."""

@@ -10,8 +10,8 @@ import numpy as np
 from deepfracture.geometry.collapse import collapse_short
 from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.solids import blocks, box, fillet, sampled, slab, spline, tube, turned, united
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Floats, Mesh, Shape
-from deepfracture.words import meant
 
 WALL = 0.18
 """Thickness of vessel walls: five voxels of the 64^3 grid are 0.156."""

@@ -16,9 +16,9 @@ from deepfracture.geometry.soup import Soup, read_scene
 from deepfracture.geometry.topology import faults, shell_volumes, shells, split_pinches, weld
 from deepfracture.geometry.untangle import crossing_faces
 from deepfracture.geometry.wavefront import read_obj
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import Appearance, BadInput, Mesh, Shape
-from deepfracture.words import meant
 
 LONGEST = 1e60
 """Coordinates beyond it, and lengths below its inverse, leave too few powers of ten for volumes squared."""

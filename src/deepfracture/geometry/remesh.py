@@ -7,7 +7,7 @@ import numpy as np
 from deepfracture.geometry.clusters import clusters, dual
 from deepfracture.geometry.distance import closest
 from deepfracture.geometry.topology import compact, faults, split_pinches, torn_vertices
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Mesh
 
 FINENESS = (10, 24)

@@ -21,7 +21,7 @@ from deepfracture.geometry.topology import (
 )
 from deepfracture.geometry.untangle import crossing_faces, untangled
 from deepfracture.geometry.wrap import VOXELS, wrap
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Ints, Mesh
 
 HEAP = 5000

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 if TYPE_CHECKING:
     from trimesh.resolvers import Resolver

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepfracture.geometry.soup import Soup
 from deepfracture.geometry.textures import beside, texture
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Finish, Floats, Ints
 
 Row = tuple[int, list[str]]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture.files import replacing
+from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats32, Grid
 
 KEY = "deepfracture"

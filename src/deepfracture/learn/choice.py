@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from deepfracture.compare import MEASURES, Traits, distances
-from deepfracture.progress import track
+from deepfracture.runtime.progress import track
 from deepfracture.types import Floats, Floats32, Ints
 
 VARIETY = 2.0

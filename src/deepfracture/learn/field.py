@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.encode import mark_parted
 from deepfracture.learn.lattice import Lattice
-from deepfracture.threads import spread
+from deepfracture.runtime.parallel import spread
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 
 CRUMB = 30 / 64**3

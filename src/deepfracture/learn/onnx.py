@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.extras import need
-from deepfracture.files import replacing
 from deepfracture.learn.choice import FAINT, VARIETY
 from deepfracture.learn.field import CRUMB
 from deepfracture.learn.lattice import Lattice
 from deepfracture.learn.network import OMEGA
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats32, Grid
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from deepfracture.learn.codebook import nearest_first
 from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.settings import Config
-from deepfracture.threads import one_blas_thread, product
+from deepfracture.runtime.parallel import one_blas_thread, product
 from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
 FORMAT = 2

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepfracture.dataset import Dataset
-from deepfracture.files import replacing
 from deepfracture.learn.memory import Recall
 from deepfracture.learn.settings import Config
+from deepfracture.runtime.files import replacing
 
 COLUMNS = ("epoch", "seconds", "loss", "learning_rate", "count_error", "bits", "ceiling", "l2")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from deepfracture.extras import need
+from deepfracture.runtime.extras import need
 from deepfracture.types import BadInput
 
 

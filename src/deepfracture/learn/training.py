@@ -35,8 +35,8 @@ from deepfracture.learn.settings import Config
 from deepfracture.learn.spill import on_disk, spilt
 from deepfracture.learn.targets import anchors, target_of
 from deepfracture.learn.team import pick_device, refuse_team
-from deepfracture.lock import alone
-from deepfracture.progress import log, stage, track
+from deepfracture.runtime.lock import alone
+from deepfracture.runtime.progress import log, stage, track
 from deepfracture.types import BadInput, Grid
 
 KIND = "training checkpoint"

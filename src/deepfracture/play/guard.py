@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from deepfracture.progress import log
+from deepfracture.runtime.progress import log
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer

@@ -23,8 +23,8 @@ from deepfracture.fracture import FractureBody
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.learn import embedded_model
-from deepfracture.memory import give_back
-from deepfracture.progress import log
+from deepfracture.runtime.memory import give_back
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Breaker, FracturePattern, Fragments, Grid, Impact, Material, Shape
 
 T = TypeVar("T")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.export.motion import KEY_TOL
-from deepfracture.export.surface import COLOURS, OUTER_CREASE, surfaces
+from deepfracture.recording.motion import KEY_TOL
+from deepfracture.recording.surface import COLOURS, OUTER_CREASE, surfaces
 from deepfracture.types import Floats32, Ints, Mesh, Shape
 from deepfracture.viewer import add_surface
 from deepfracture.world import Pose

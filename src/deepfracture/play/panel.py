@@ -7,22 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfracture.export.camera import frame_points
 from deepfracture.fracture import MATERIALS
+from deepfracture.play.guard import limit_uploads, number
+from deepfracture.play.library import KINDS, Entry, Library, too_large
+from deepfracture.play.session import Readout, Setup, Shot
+from deepfracture.play.telling import Timing, breaker_html, readout_html, status_html
+from deepfracture.render.camera import frame_points
 from deepfracture.types import BadInput
 from deepfracture.world import GRAVITY, UPRIGHT, Pose
 from deepfracture.world.engine import rotation
-
-from .guard import limit_uploads, number
-from .library import KINDS, Entry, Library, too_large
-from .session import Readout, Setup, Shot
-from .telling import Timing, breaker_html, readout_html, status_html
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiButtonGroupHandle, GuiEvent, GuiSliderHandle, GuiUploadButtonHandle
     from viser._messages import HotkeyKey
 
-    from .player import Player
+    from deepfracture.play.player import Player
 
 PACES = {"real time": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/30": 1 / 30}
 """How fast time goes."""

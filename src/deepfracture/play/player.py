@@ -13,17 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.files import advice
-from deepfracture.progress import log
+from deepfracture.play.guard import is_ray
+from deepfracture.play.library import Entry, Library, read_upload
+from deepfracture.play.look import Stand
+from deepfracture.play.panel import Panel
+from deepfracture.play.saving import make
+from deepfracture.play.session import Session, Setup, rehearse
+from deepfracture.play.telling import Timing
+from deepfracture.runtime.files import advice
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, NoSolution
-
-from .guard import is_ray
-from .library import Entry, Library, read_upload
-from .look import Stand
-from .panel import Panel
-from .saving import make
-from .session import Session, Setup, rehearse
-from .telling import Timing
 
 if TYPE_CHECKING:
     from viser import ClientHandle

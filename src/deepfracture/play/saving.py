@@ -7,13 +7,13 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-from deepfracture.export import write_film, write_glb
+from deepfracture.export import write_glb
 from deepfracture.export.usd import write_usd
-from deepfracture.files import scratch
+from deepfracture.play.library import Entry
+from deepfracture.render import write_film
+from deepfracture.runtime.files import scratch
 from deepfracture.types import BadInput, Recording
 from deepfracture.world import Scene, save_scene
-
-from .library import Entry
 
 FILES = {"glb": "deepfracture.glb", "usd": "deepfracture.usdc", "film": "deepfracture.mp4", "scene": "scene.toml"}
 """Kinds of files that can be saved, and what they are called."""

@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfracture.extras import need
-from deepfracture.files import scratch
-from deepfracture.progress import log
+from deepfracture.play.guard import calm, forbid_sharing, is_loopback, limit_messages, stranger, turn_away
+from deepfracture.play.library import Library
+from deepfracture.play.player import Player
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.files import scratch
+from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 from deepfracture.viewer import add_floor
 from deepfracture.world import UPRIGHT
-
-from .guard import calm, forbid_sharing, is_loopback, limit_messages, stranger, turn_away
-from .library import Library
-from .player import Player
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer

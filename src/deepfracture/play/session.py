@@ -10,13 +10,12 @@ import numpy as np
 from deepfracture.breakers import AGAIN
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
-from deepfracture.progress import collect_stages
+from deepfracture.play.aim import Obstacle, launch
+from deepfracture.play.library import Entry, Library
+from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import BadInput, Floats, Recording
 from deepfracture.world import GRAVITY, UPRIGHT, Ball, Collision, Floor, Live, Pose, Scene, standing, throw_scene
 from deepfracture.world.engine import rotation
-
-from .aim import Obstacle, launch
-from .library import Entry, Library
 
 GENERATIONS = 3
 """Of fragments that may break again: where a ball hits them, as to ask about all that fall takes too long."""

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
 
-from .library import Entry
-from .session import Readout
+from deepfracture.play.library import Entry
+from deepfracture.play.session import Readout
 
 STAGES = {
     "predict": "predict",

@@ -1,7 +1,7 @@
 """Thousands of random hits, each checked: `deepfracture soak`."""
 
-from .plan import Case, Settings, case, numbered
-from .results import Results, summary
-from .run import soak
+from deepfracture.soak.plan import Case, Settings, case, numbered
+from deepfracture.soak.results import Results, summary
+from deepfracture.soak.run import soak
 
 __all__ = ["Case", "Results", "Settings", "case", "numbered", "soak", "summary"]

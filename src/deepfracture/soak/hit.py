@@ -20,14 +20,13 @@ from deepfracture.breakers.physical import Physical
 from deepfracture.breakers.restrict import piece_grid
 from deepfracture.fracture import MATERIALS, FractureBody
 from deepfracture.geometry import load_shape
-from deepfracture.memory import give_back, resident_mb
+from deepfracture.runtime.memory import give_back, resident_mb
+from deepfracture.soak.plan import RECALLING, Case, Settings, data_of, model_of
+from deepfracture.soak.scenes import draw_scene
 from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Recording, Shape, Track
 from deepfracture.validation.fragments import check_fragments
 from deepfracture.world import Live, Scene
 from deepfracture.world.engine import rotation
-
-from .plan import RECALLING, Case, Settings, data_of, model_of
-from .scenes import draw_scene
 
 T = TypeVar("T")
 KEPT = 16

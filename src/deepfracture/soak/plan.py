@@ -12,8 +12,8 @@ from deepfracture.breakers import BREAKERS
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.geometry.builtin import plain_name
 from deepfracture.learn import embedded_model, load_model
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import RESOLUTIONS, BadInput
-from deepfracture.words import meant
 from deepfracture.world import ENGINES
 
 SHARES = {"learned": 3, "voronoi": 3, "cvd": 3, "nearest": 2, "random": 2, "physical": 1}

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from deepfracture import __version__
+from deepfracture.soak.plan import SHARES, Case, Settings
 from deepfracture.types import BadInput
-
-from .plan import SHARES, Case, Settings
 
 Row = dict[str, Any]
 FILE = "hits.jsonl"

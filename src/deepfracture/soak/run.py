@@ -17,13 +17,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfracture.progress import hush, log, track
-from deepfracture.threads import one_thread_each
+from deepfracture.runtime.parallel import one_thread_each
+from deepfracture.runtime.progress import hush, log, track
+from deepfracture.soak.hit import Shop, check, hit, play, prepare
+from deepfracture.soak.plan import Case, Settings, numbered
+from deepfracture.soak.results import Results, Row
 from deepfracture.types import BadInput
-
-from .hit import Shop, check, hit, play, prepare
-from .plan import Case, Settings, numbered
-from .results import Results, Row
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess

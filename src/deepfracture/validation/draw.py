@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deepfracture.files import replacing
+from deepfracture.runtime.files import replacing
 from deepfracture.validation.report import Plot
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..export.gltf import surface_glb
-from ..export.surface import COLOURS, Surface
+from deepfracture.export.gltf import surface_glb
+from deepfracture.recording.surface import COLOURS, Surface
 
 if TYPE_CHECKING:
     from viser import SceneApi

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..export.camera import frame_action
-from ..export.files import replacing
-from ..export.motion import KEY_TOL, continuous, exists, floor_height
-from ..export.surface import track_surfaces
-from ..extras import need
-from ..progress import track as progress
-from ..types import Recording, Track
-from .bodies import add_floor, add_surface
+from deepfracture.recording.motion import KEY_TOL, continuous, exists, floor_height
+from deepfracture.recording.surface import track_surfaces
+from deepfracture.render.camera import frame_action
+from deepfracture.runtime.extras import need
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.progress import track as progress
+from deepfracture.types import Recording, Track
+from deepfracture.viewer.bodies import add_floor, add_surface
 
 if TYPE_CHECKING:
     from viser import FrameHandle, SceneApi, ViserServer

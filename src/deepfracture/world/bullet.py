@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from deepfracture.extras import pip_line
-from deepfracture.files import scratch
+from deepfracture.runtime.extras import pip_line
+from deepfracture.runtime.files import scratch
 from deepfracture.types import BadInput, Floats
 from deepfracture.world.engine import (
     FLOOR_DEPTH,

@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Floats
-from deepfracture.words import meant
 
 ENGINES = ("bullet", "rapier")
 

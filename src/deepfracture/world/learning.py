@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from deepfracture.geometry.convex.hulls import whole_hulls
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Floats, Mesh, Shape
-from deepfracture.words import meant
 from deepfracture.world.engine import quaternion, rotation, times
-from deepfracture.world.hulls import whole_hulls
 from deepfracture.world.scene import STEEL, Ball, Block, Placed, Scene, Vector
 
 KINDS = ("single", "dual", "strength", "points", "shear")

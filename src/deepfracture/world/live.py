@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepfracture.progress import stage as timed
+from deepfracture.runtime.progress import stage as timed
 from deepfracture.types import Breaker, Fragments, Impact, Material, Mesh, Recording, Shape
 from deepfracture.world.engine import Motion
 from deepfracture.world.pieces import real, scaled

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from deepfracture.files import replacing
+from deepfracture.runtime.files import replacing
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Floats, Shape, Touch
-from deepfracture.words import meant
 from deepfracture.world.engine import ENGINES, rotation
 
 if sys.version_info >= (3, 11):

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepfracture.geometry import mass_properties
+from deepfracture.geometry.convex.hulls import piece_hulls, whole_hulls
 from deepfracture.types import BadInput, Floats, Fragment, Fragments, Impact, Ints, Material, Mesh, Shape
 from deepfracture.world.engine import Contact, Engine, Mass, Motion, Surface, cross, open_engine, rotation
 from deepfracture.world.footing import Footing
-from deepfracture.world.hulls import piece_hulls, whole_hulls
 from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of, totals
 from deepfracture.world.pieces import HARDER, SAME_BLOW, SMALLEST_SHARE, as_shape
 from deepfracture.world.rest import Rest

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfracture.extras import need
 from deepfracture.learn.checkpoint import KEY
 from deepfracture.learn.fields.settings import PRESETS, FieldConfig, preset
 from deepfracture.learn.settings import need_training
+from deepfracture.runtime.extras import need
 from deepfracture.types import BadInput
 
 if TYPE_CHECKING:

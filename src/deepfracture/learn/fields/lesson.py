@@ -18,7 +18,7 @@ from deepfracture.learn.fields.settings import FieldConfig
 from deepfracture.learn.memory import Probe
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.spill import on_disk
-from deepfracture.progress import track
+from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Volume
 
 PROBES = 10

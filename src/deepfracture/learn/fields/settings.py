@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput
-from deepfracture.words import meant
 
 PAPER, MLP, PIX2PIX = PRESETS = ("paper", "mlp", "pix2pix")
 PRECISIONS = ("auto", "float32", "bfloat16")

@@ -31,8 +31,8 @@ from deepfracture.learn.memory import Recall, recall
 from deepfracture.learn.report import Card, write_card
 from deepfracture.learn.team import Team, assemble, pick_device
 from deepfracture.learn.training import KEEP_EVERY, LOOKS, Budget, interrupt_later
-from deepfracture.lock import alone
-from deepfracture.progress import log, stage, track
+from deepfracture.runtime.lock import alone
+from deepfracture.runtime.progress import log, stage, track
 from deepfracture.types import BadInput, Floats32
 
 KIND = "field training checkpoint"

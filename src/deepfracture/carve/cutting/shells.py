@@ -1,0 +1,307 @@
+"""From faces that belong to cells to the closed surfaces of the cells: shells, and which edge runs back along which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from deepfracture.carve.cutting.intersect import NotGeneral
+from deepfracture.carve.segmentation.regions import root
+from deepfracture.geometry import moments
+from deepfracture.runtime.parallel import apportion
+from deepfracture.types import Floats, Ints, Mesh
+
+Flags = NDArray[np.bool_]
+
+NONE = np.iinfo(np.int32).min
+"""No edge's number, nor the ~ of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One connected solid with a closed 2-manifold surface; voids inside it are shells of their own."""
+
+    mesh: Mesh
+    source: Ints
+    """As in `Fragment.source`."""
+    volume: float
+    """[m^3]"""
+    first: Floats
+    """Integral of x [m^4], shape (3,) ..."""
+    second: Floats
+    """... and of x x^T [m^5], shape (3, 3), both about its first vertex."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """The surfaces of all cells, which are closed."""
+
+    shell: NDArray
+    """Number 0.. of the shell that each face belongs to, shape (f,)."""
+    first: Ints
+    """The first face of each shell, shape (s,) ..."""
+    volumes: Floats
+    """... and its signed volume [m^3]."""
+    solids: list[Solid | None]
+    """What each shell encloses, None where its cell has others."""
+    cell: NDArray
+    """Number 0.. of the cell of each face, shape (f,)."""
+    order: NDArray[np.int32]
+    """The faces, cell by cell, shape (f,) ..."""
+    start: Ints
+    """... and where each starts, and their number, shape (c + 1,)."""
+
+
+def surfaces_of(
+    positions: Floats, source: Ints, corners: NDArray, cell: NDArray, plain: Flags, marks: Marks
+) -> Surfaces:
+    """See there. Raises NotGeneral if an edge has none that runs back, or several."""
+    if cell.max(initial=0) > len(cell):  # names, not numbers
+        cell = np.unique(cell, return_inverse=True)[1].reshape(-1).astype(np.int32)
+    cells = int(cell.max(initial=0)) + 1
+    order, start = by_number(cell, np.arange(cells), np.zeros(len(cell), np.bool_), cells)
+    twin, shell = np.empty(3 * len(cell), np.int32), np.zeros(len(cell), np.int32)
+
+    def close(n: int) -> tuple[bool, Ints, Floats, list[Solid | None]]:
+        own = order[start[n] : start[n + 1]]
+        with marks.taken(3 * len(own)) as (scratch, base):
+            fine, vertices, turned, come_from, first, volumes = _closed(
+                positions, source, corners, own, plain, scratch, base, twin, shell
+            )
+        if len(first) != 1:
+            return fine, first, volumes, [None] * len(first)
+        solid = Solid(Mesh(vertices, turned), come_from, *moments(vertices, turned, vertices[0]))
+        return fine, first, np.array([solid.volume]), [solid]
+
+    found = apportion(close, np.diff(start).tolist())
+    if not all(fine for fine, *_ in found):
+        raise NotGeneral
+    shells = np.array([len(first) for _, first, *_ in found])
+    _shift(shell, cell, np.cumsum(shells) - shells)
+    first, volumes = np.concatenate([part[1] for part in found]), np.concatenate([part[2] for part in found])
+    return Surfaces(shell, first, volumes, [solid for part in found for solid in part[3]], cell, order, start)
+
+
+@njit(cache=True, nogil=True)
+def _shift(shell, cell, by):
+    for f in range(len(shell)):
+        shell[f] += by[cell[f]]
+
+
+@njit(cache=True, nogil=True)
+def _closed(positions, source, corners, own, plain, marks, base, twin, shell):
+    """Whether the surface of a cell is closed; vertices, faces and sources as of `meshed`; the first face and, where
+    there are several, the signed volume of each of its shells. Writes `shell`, from 0. `twin`: scratch."""
+    first, volumes = np.empty(0, np.int64), np.empty(0)
+    if not pair(corners, own, plain, twin):
+        return False, np.empty((0, 3)), np.empty((0, 3), np.int64), first, first, volumes
+    vertices, faces, come_from, _ = meshed(positions, source, corners, twin, own, plain, marks, base)
+    parent, shells = np.arange(len(vertices)).astype(np.int32), len(vertices)
+    for f in range(len(faces)):
+        for n in range(1, 3):
+            one, other = root(parent, faces[f, 0]), root(parent, faces[f, n])
+            if one != other:
+                parent[max(one, other)] = min(one, other)
+                shells -= 1
+    first = np.empty(shells, np.int64)
+    if shells == 1:
+        first[0] = own[0]
+    if shells <= 1:
+        return True, vertices, faces, come_from, first, volumes
+    number, volumes = np.full(len(vertices), -1), np.zeros(shells)
+    made = 0
+    for f in range(len(faces)):
+        head = root(parent, faces[f, 0])
+        if number[head] < 0:
+            number[head], first[made] = made, own[f]
+            made += 1
+        n = number[head]
+        shell[own[f]] = n
+        volumes[n] += _six_volumes(
+            positions, corners[first[n], 0], corners[own[f], 0], corners[own[f], 1], corners[own[f], 2]
+        )
+    return True, vertices, faces, come_from, first, volumes / 6
+
+
+@njit(cache=True, nogil=True)
+def pair(corners, own, plain, twin):
+    """Whether each edge of a cell's faces with an end that is not plain has exactly one that runs back in the same
+    cell: its twin, which is written. Edges are numbered 3 face + corner from which they lead to the next.
+
+    In a table with open addresses an edge (`keys`) has the number of the first that ran along it, ~number if from the
+    higher point, NONE once its twin has come (`edges`)."""
+    faces, count, loose = np.empty(len(own), np.int32), 0, 0
+    for f in own:
+        here = 3 - int(plain[corners[f, 0]]) - int(plain[corners[f, 1]]) - int(plain[corners[f, 2]])
+        faces[count] = f
+        count += here > 0
+        loose += here
+    room = 16
+    while room < 2 * loose:  # two such corners at least belong to each edge that has a twin
+        room *= 2
+    keys, edges = np.full((room, 2), -1, np.int32), np.empty(room, np.int32)
+    used, lonely = 0, 0
+    for f in faces[:count]:
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        for n in range(3):
+            if not (plain[a] and plain[b]):
+                low, high = min(a, b), max(a, b)
+                edge = np.int32(3 * f + n)
+                # Neighbours meet nearby in the table; only what finds its place taken is sent far away.
+                at = np.int64(8 * np.int64(low) + (5 * np.int64(high) >> 1 & 7)) & (room - 1)
+                step = (np.int64(high) * 0x9E3779B97F4A7C1) >> 20 | 1
+                while keys[at, 0] >= 0 and (keys[at, 0] != low or keys[at, 1] != high):
+                    at = (at + step) & (room - 1)
+                if keys[at, 0] < 0:
+                    if used == loose:
+                        return False
+                    keys[at, 0], keys[at, 1], edges[at] = low, high, edge if a < b else ~edge
+                    used, lonely = used + 1, lonely + 1
+                else:
+                    other = edges[at] if a > b else ~edges[at]
+                    if edges[at] == NONE or other < 0:
+                        return False
+                    twin[edge], twin[other] = other, edge
+                    edges[at] = NONE
+                    lonely -= 1
+            a, b, c = b, c, a
+    return lonely == 0
+
+
+@njit(cache=True, nogil=True)
+def meshed(positions, source, corners, twin, own, plain, marks, base):
+    """Vertices and faces of a closed surface, the source of each face (-1 of cracks), and the point of each vertex.
+
+    A vertex for each plain point, and else for each fan of faces around it. `own`: its faces, in `corners`; `marks`:
+    base + vertex of a plain point. The twin of a corner that is not plain becomes ~vertex."""
+    faces, points = np.empty((len(own), 3), np.int64), np.empty(3 * len(own), np.int64)
+    come_from = np.empty(len(own), np.int64)
+    used = 0
+    for f in range(len(own)):
+        come_from[f] = source[own[f]] if own[f] < len(source) else -1
+        for n in range(3):
+            p = corners[own[f], n]
+            if plain[p]:
+                if marks[p] < base:
+                    marks[p], points[used] = base + used, p
+                    used += 1
+                faces[f, n] = marks[p] - base
+                continue
+            corner = 3 * own[f] + n
+            if twin[corner] >= 0:
+                points[used] = p
+                at = corner
+                while twin[at] >= 0:
+                    back = twin[at]
+                    twin[at] = ~used
+                    at = back - 2 if back % 3 == 2 else back + 1
+                used += 1
+            faces[f, n] = ~twin[corner]
+    vertices = np.empty((used, 3))
+    for n in range(used):
+        for x in range(3):
+            vertices[n, x] = positions[points[n], x]
+    return vertices, faces, come_from, points[:used].copy()
+
+
+@njit(cache=True, inline="always")
+def _six_volumes(positions, pivot, one, two, three):
+    """Six times the signed volume of a tetrahedron."""
+    p, a, b, c = positions[pivot], positions[one], positions[two], positions[three]
+    ax, ay, az, bx, by, bz = a[0] - p[0], a[1] - p[1], a[2] - p[2], b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
+    return ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+
+
+def twins(
+    surfaces: Surfaces, corners: NDArray, cells: Ints, goes: Flags, plain: Flags, outer: int, inner: int
+) -> NDArray:
+    """For the edges of some cells, numbered 3 face + corner, those that run back, where one of their ends is not plain;
+    anything for all others. Across the faces that go: those behind both sides of one meet."""
+    twin = np.empty(3 * len(corners), np.int32)
+    owned = [surfaces.order[surfaces.start[n] : surfaces.start[n + 1]] for n in cells]
+    sizes = [len(own) for own in owned]
+    apportion(lambda n: pair(corners, owned[n], plain, twin), sizes)
+    apportion(lambda n: _bridge(corners, owned[n], plain, goes, outer, inner, twin), sizes)
+    return twin
+
+
+@njit(cache=True, nogil=True)
+def _bridge(corners, own, plain, goes, outer, inner, twin):
+    """Twins of the faces of a cell that stay where they were faces that go. Only twins of faces that go are read."""
+    for f in own:
+        if goes[f]:
+            continue
+        for n in range(3):
+            if plain[corners[f, n]] and plain[corners[f, (n + 1) % 3]]:
+                continue
+            other = twin[3 * f + n]
+            while goes[other // 3]:
+                other = twin[3 * mate(other // 3, outer, inner) + 2 - other % 3]
+            twin[3 * f + n] = other
+
+
+@njit(cache=True, nogil=True)
+def half_faces(outer, cell, inner, sides, corners, cells, first, last):
+    """Write corners and cell of each face of each cell: the outer ones, the inner ones as the cell below them has them,
+    and as the one above has them, for some of the outer and inner faces. `mate` leads from one to the other."""
+    m, k = len(outer), len(inner)
+    for f in range(first, min(last, m)):
+        corners[f, 0], corners[f, 1], corners[f, 2] = outer[f, 0], outer[f, 1], outer[f, 2]
+        cells[f] = cell[f]
+    for f in range(max(first, m), last):
+        a, b, c = inner[f - m, 0], inner[f - m, 1], inner[f - m, 2]
+        corners[f, 0], corners[f, 1], corners[f, 2] = a, b, c
+        corners[k + f, 0], corners[k + f, 1], corners[k + f, 2] = a, c, b
+        cells[f], cells[k + f] = sides[f - m, 0], sides[f - m, 1]
+
+
+@njit(cache=True, inline="always")
+def mate(face, outer, inner):
+    """The other side of a crack's face, -1 of an outer one. Edge n of the one runs along edge 2 - n of the other."""
+    if face < outer:
+        return -1
+    return face + inner if face < outer + inner else face - inner
+
+
+@njit(cache=True, nogil=True)
+def by_number(names, number, goes, count):
+    """The faces that stay, by the numbers of their names, and where those of each number start."""
+    start = np.zeros(count + 1, np.int64)
+    for f in range(len(names)):
+        if not goes[f]:
+            start[number[names[f]] + 1] += 1
+    for n in range(count):
+        start[n + 1] += start[n]
+    place, order = start[:-1].copy(), np.empty(start[-1], np.int32)
+    for f in range(len(names)):
+        if not goes[f]:
+            n = number[names[f]]
+            order[place[n]] = f
+            place[n] += 1
+    return order, start
+
+
+class Marks:
+    """Numbers on points for whoever asks, a table for each thread: what others have written lies below the `base`."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._free: list[tuple[NDArray[np.int32], int]] = []
+
+    @contextmanager
+    def taken(self, room: int) -> Iterator[tuple[NDArray[np.int32], int]]:
+        """A table and its base; less than base + `room` may be written to it."""
+        try:
+            marks, base = self._free.pop()
+        except IndexError:
+            marks, base = np.zeros(self._count, np.int32), 1
+        if base > np.iinfo(np.int32).max - room:
+            marks, base = np.zeros(self._count, np.int32), 1
+        yield marks, base
+        self._free.append((marks, base + room))

@@ -1,0 +1,1 @@
+"""From a GS-SDF to fragments: which voxel belongs to which."""

@@ -1,0 +1,1 @@
+"""Convex polytopes: hulls, clipping, decomposition, and parting those of neighbours."""

@@ -1,0 +1,1 @@
+"""What a recording shows, for every exporter and renderer: poses at any frame, surfaces with their materials."""
