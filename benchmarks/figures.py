@@ -23,7 +23,8 @@ from deepfracture.carve import cut, encode, segment
 from deepfracture.fracture import prepare_body
 from deepfracture.fracture import simulate as fracture
 from deepfracture.geometry import signed_distance
-from deepfracture.learn import Model, embedded_model, load_model, network, predict
+from deepfracture.learn import Model, embedded_model, load_model, predict
+from deepfracture.learn.partition import network
 from deepfracture.render.picture import exploded
 from deepfracture.runtime.files import replacing
 from deepfracture.runtime.progress import log

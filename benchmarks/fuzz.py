@@ -57,7 +57,8 @@ WATCH = [
     *(f"deepfracture.geometry.{name}" for name in ("read", "wavefront", "soup", "textures")),
     *(f"trimesh.exchange.{name}" for name in ("gltf", "ply", "stl", "off")), "trimesh.visual.material",
     "deepfracture.world.scene", "deepfracture.cli.info", "deepfracture.fracture.cache", "deepfracture.dataset.store",
-    *(f"deepfracture.learn.{name}" for name in ("checkpoint", "prediction", "settings", "fields.settings")),
+    "deepfracture.learn.checkpoint", "deepfracture.learn.partition.model", "deepfracture.learn.partition.config",
+    "deepfracture.learn.published.config",
 ]  # fmt: skip
 """Modules whose coverage steers: those without compiled kernels."""
 Move = tuple[int, int, int]
@@ -302,7 +303,7 @@ def _model(folder: Path) -> Any:
 
 
 def _field_model(folder: Path) -> Any:
-    from deepfracture.learn.fields import load_field_model
+    from deepfracture.learn.published import load_field_model
 
     return load_field_model(folder / "field.safetensors", device="cpu")
 
@@ -323,7 +324,7 @@ def _models(folder: Path) -> Sequence[Path]:
 
     import torch
 
-    from deepfracture.learn.fields import FieldConfig, train_field
+    from deepfracture.learn.published import FieldConfig, train_field
     from deepfracture.learn.training import _Lesson, _Run, train
 
     torch.set_num_threads(1)

@@ -310,7 +310,7 @@ def _train(data: Path, out: Path, preset: str) -> None:
     import torch
 
     from deepfracture.learn import training
-    from deepfracture.learn.fields import training as fields
+    from deepfracture.learn.published import training as fields
 
     torch.set_num_threads(1)
     training.KEEP_EVERY = fields.KEEP_EVERY = 0.0  # a checkpoint after each epoch

@@ -22,7 +22,7 @@ from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
 from deepfracture.learn import Normaliser
-from deepfracture.learn.choice import Choice, fit, mean_distance
+from deepfracture.learn.partition.selector import Choice, fit, mean_distance
 from deepfracture.runtime.files import replacing
 from deepfracture.runtime.progress import stage
 from deepfracture.types import BadInput, FracturePattern, Impact, Shape

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from common import start, table, write_text
 
-from deepfracture.learn import Model, embedded_model, load_model, network, predict
-from deepfracture.learn.onnx import export_onnx, spline_matrix
+from deepfracture.learn import Model, embedded_model, load_model, predict
+from deepfracture.learn.partition import network
+from deepfracture.learn.partition.onnx import export_onnx, spline_matrix
 from deepfracture.runtime.extras import need
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Impact

@@ -14,10 +14,10 @@ import time
 import numpy as np
 import torch  # noqa: TID253  (a program, not a room)
 
-from deepfracture.learn.fields import preset
-from deepfracture.learn.fields.model import build, prepared
-from deepfracture.learn.fields.teaching import faster_precision
-from deepfracture.learn.team import pick_device
+from deepfracture.learn.distributed import pick_device
+from deepfracture.learn.published import preset
+from deepfracture.learn.published.model import build, prepared
+from deepfracture.learn.published.train_step import faster_precision
 from deepfracture.runtime.memory import peak_mb
 from deepfracture.runtime.progress import log
 

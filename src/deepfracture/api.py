@@ -519,14 +519,14 @@ def trained(
 ) -> Card:  # fmt: skip
     """What `train` does, with all that is to be said of it."""
     from deepfracture.dataset import Dataset, open_dataset
-    from deepfracture.learn import Config, fields
+    from deepfracture.learn import Config, published
     from deepfracture.learn import train as train_waves
 
     ours = preset == OURS
     if ours and width != 1:
-        raise BadInput(f"width {width:g}: only for the presets {', '.join(fields.PRESETS)}; leave it out")
-    if not ours and preset not in fields.PRESETS:
-        known = (OURS, *fields.PRESETS)
+        raise BadInput(f"width {width:g}: only for the presets {', '.join(published.PRESETS)}; leave it out")
+    if not ours and preset not in published.PRESETS:
+        known = (OURS, *published.PRESETS)
         raise BadInput(f"preset must be one of {', '.join(known)}, got {preset!r}{meant(preset, known)}")
     if epochs is None and minutes is None:
         epochs = EPOCHS[ours]
@@ -534,8 +534,8 @@ def trained(
     if ours:
         config = Config(features=features)
         return train_waves(data, Path(out), config, epochs=epochs, minutes=minutes, device=device, seed=seed)
-    chosen = fields.preset(preset, width=width, features=features)
-    return fields.train_field(data, Path(out), chosen, epochs=epochs, minutes=minutes, device=device, seed=seed)
+    chosen = published.preset(preset, width=width, features=features)
+    return published.train_field(data, Path(out), chosen, epochs=epochs, minutes=minutes, device=device, seed=seed)
 
 
 def _material(given: str | Material) -> Material:

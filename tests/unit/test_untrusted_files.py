@@ -31,7 +31,7 @@ from deepfracture.fracture.elastostatics import ElasticBody
 from deepfracture.geometry import load_shape
 from deepfracture.learn import embedded_model, load_model
 from deepfracture.learn.checkpoint import KEY, read
-from deepfracture.learn.fields import kind_of
+from deepfracture.learn.published import kind_of
 from deepfracture.play.library import read_upload
 from deepfracture.runtime.files import FORMER, LOCK, NEW, PREFIX, filling, replacing_folder, sweep
 from deepfracture.runtime.progress import log

@@ -17,7 +17,7 @@ from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape,
 if TYPE_CHECKING:
     from deepfracture.breakers.recalled import Memory
     from deepfracture.learn import Model
-    from deepfracture.learn.fields.model import FieldModel
+    from deepfracture.learn.published.model import FieldModel
 
 BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
 AGAIN = ("learned", "physical", "voronoi")
@@ -98,7 +98,7 @@ def ways(shape: Shape, material: Material, path: Path, memory: Memory | None = N
 
     Raises:
         BadInput: There is no model in the file, or it is of another shape."""
-    from deepfracture.learn.fields import kind_of
+    from deepfracture.learn.published import kind_of
 
     return (
         _field_ways(shape, material, path)
@@ -137,7 +137,7 @@ def _weakest(model: Model) -> float:
 
 def _field_ways(shape: Shape, material: Material, path: Path) -> dict[str, PatternSource]:
     from deepfracture.breakers.learned import Learned
-    from deepfracture.learn.fields import load_field_model
+    from deepfracture.learn.published import load_field_model
 
     model = load_field_model(path)
     _check(model, shape, material, path)

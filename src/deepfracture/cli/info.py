@@ -52,7 +52,7 @@ def _dataset(path: str) -> list[str]:
 
 def _model(path: Path) -> list[str]:
     from deepfracture.learn import load_model
-    from deepfracture.learn.fields import kind_of, load_field_model
+    from deepfracture.learn.published import kind_of, load_field_model
 
     if kind_of(path) == "field model":
         model = load_field_model(path, device="cpu")

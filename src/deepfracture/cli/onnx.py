@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from deepfracture.learn import embedded_model, load_model
-from deepfracture.learn.fields import kind_of
-from deepfracture.learn.onnx import export_onnx as export
+from deepfracture.learn.partition.onnx import export_onnx as export
+from deepfracture.learn.published import kind_of
 from deepfracture.runtime.progress import log, stage
 from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput
@@ -32,7 +32,7 @@ def _file(name: str) -> Path:
         return path
     shipped = embedded_model(name)
     if shipped is None:
-        from deepfracture.learn.prediction import SHIPPED
+        from deepfracture.learn.partition.model import SHIPPED
 
         known = sorted(file.stem for file in SHIPPED.glob("*.safetensors"))
         raise BadInput(

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepfracture.learn.normaliser import Normaliser, normalise_impact
-from deepfracture.learn.prediction import (
+from deepfracture.learn.partition.config import Config, need_training
+from deepfracture.learn.partition.model import (
     AS_PUBLISHED,
     OURS,
     Model,
@@ -16,7 +17,6 @@ from deepfracture.learn.prediction import (
     predict,
     predictions,
 )
-from deepfracture.learn.settings import Config, need_training
 
 if TYPE_CHECKING:
     from deepfracture.dataset import Dataset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.learn.field import Body
+from deepfracture.learn.partition.field import Body
 from deepfracture.types import Shape
 
 SAME_SURFACE = 0.5

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepfracture.dataset import Dataset
-from deepfracture.learn.memory import Recall
-from deepfracture.learn.settings import Config
+from deepfracture.learn.partition.config import Config
+from deepfracture.learn.reconstruction import Recall
 from deepfracture.runtime.files import replacing
 
 COLUMNS = ("epoch", "seconds", "loss", "learning_rate", "count_error", "bits", "ceiling", "l2")

@@ -23,18 +23,18 @@ import torch  # noqa: TID253  (this module is imported by `learn.train` alone)
 from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset
 from deepfracture.geometry import signed_distance
-from deepfracture.learn import network
 from deepfracture.learn.checkpoint import read, write
-from deepfracture.learn.choice import Choice, fit, mean_distance
-from deepfracture.learn.field import Body
-from deepfracture.learn.memory import Probe, Recall, recall
+from deepfracture.learn.distributed import pick_device, refuse_team
+from deepfracture.learn.memory_map import on_disk, spilt
 from deepfracture.learn.normaliser import Normaliser
-from deepfracture.learn.prediction import Model, save_model
+from deepfracture.learn.partition import network
+from deepfracture.learn.partition.config import Config
+from deepfracture.learn.partition.field import Body
+from deepfracture.learn.partition.model import Model, save_model
+from deepfracture.learn.partition.selector import Choice, fit, mean_distance
+from deepfracture.learn.partition.targets import anchors, target_of
+from deepfracture.learn.reconstruction import Probe, Recall, recall
 from deepfracture.learn.report import Card, Point, card_text, write_card, write_curve
-from deepfracture.learn.settings import Config
-from deepfracture.learn.spill import on_disk, spilt
-from deepfracture.learn.targets import anchors, target_of
-from deepfracture.learn.team import pick_device, refuse_team
 from deepfracture.runtime.lock import alone
 from deepfracture.runtime.progress import log, stage, track
 from deepfracture.types import BadInput, Grid

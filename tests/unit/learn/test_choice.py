@@ -7,7 +7,7 @@ import pytest
 
 from deepfracture.carve import voronoi_pattern
 from deepfracture.compare import traits_of
-from deepfracture.learn.choice import Choice, Similarity, fit, mean_distance
+from deepfracture.learn.partition.selector import Choice, Similarity, fit, mean_distance
 from deepfracture.types import Floats32, Grid, Impact
 
 

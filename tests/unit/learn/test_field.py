@@ -7,10 +7,11 @@ import pytest
 
 from deepfracture.carve import cuts_of, encode, segment, voronoi_pattern
 from deepfracture.geometry import builtin, signed_distance
-from deepfracture.learn import Config, Model, Normaliser, Way, field, network, predictions
-from deepfracture.learn.choice import Choice, Similarity
-from deepfracture.learn.field import Body, volume_of
-from deepfracture.learn.lattice import MOST_NODES, Lattice
+from deepfracture.learn import Config, Model, Normaliser, Way, predictions
+from deepfracture.learn.partition import field, network
+from deepfracture.learn.partition.field import Body, volume_of
+from deepfracture.learn.partition.lattice import MOST_NODES, Lattice
+from deepfracture.learn.partition.selector import Choice, Similarity
 from deepfracture.types import BadInput, Floats, Grid, Impact
 
 SITES = np.random.default_rng(0).uniform(-0.6, 0.6, (7, 3))

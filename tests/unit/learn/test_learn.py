@@ -7,11 +7,12 @@ import pytest
 
 from deepfracture.carve import voronoi_pattern
 from deepfracture.compare import variation_of_information
-from deepfracture.learn import Config, Model, Normaliser, network, normalise_impact
-from deepfracture.learn.choice import Choice, Similarity
+from deepfracture.learn import Config, Model, Normaliser, normalise_impact
 from deepfracture.learn.codebook import nearest_first
-from deepfracture.learn.field import Body
-from deepfracture.learn.targets import FADE, anchors, target_of
+from deepfracture.learn.partition import network
+from deepfracture.learn.partition.field import Body
+from deepfracture.learn.partition.selector import Choice, Similarity
+from deepfracture.learn.partition.targets import FADE, anchors, target_of
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact
 
 GRID = Grid(32)

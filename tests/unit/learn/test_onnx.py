@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfracture.learn import Model, embedded_model, load_model, network
-from deepfracture.learn.field import _divide, _leaders
-from deepfracture.learn.onnx import OUTPUTS, export_onnx, spline_matrix
+from deepfracture.learn import Model, embedded_model, load_model
+from deepfracture.learn.partition import network
+from deepfracture.learn.partition.field import _divide, _leaders
+from deepfracture.learn.partition.onnx import OUTPUTS, export_onnx, spline_matrix
 from deepfracture.types import BadInput, Impact
 
 ort = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")

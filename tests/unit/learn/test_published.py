@@ -16,16 +16,16 @@ from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.dataset import Dataset, Sample, open_dataset, store
 from deepfracture.geometry import signed_distance
 from deepfracture.learn.checkpoint import read, write
-from deepfracture.learn.fields import FieldConfig, kind_of, load_field_model, preset, train_field
+from deepfracture.learn.published import FieldConfig, kind_of, load_field_model, preset, train_field
 from deepfracture.types import BadInput, Grid, Impact, Material, Mesh, Shape
 
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)  # threads wait for each other longer than such small steps take
 
-from deepfracture.learn import team  # noqa: E402
-from deepfracture.learn.fields import pix2pix, training  # noqa: E402
-from deepfracture.learn.fields.lesson import squared_error  # noqa: E402
-from deepfracture.learn.fields.model import FieldModel, build, weight_count  # noqa: E402
+from deepfracture.learn import distributed as team  # noqa: E402
+from deepfracture.learn.published import pix2pix, training  # noqa: E402
+from deepfracture.learn.published.data import squared_error  # noqa: E402
+from deepfracture.learn.published.model import FieldModel, build, weight_count  # noqa: E402
 
 GRID = Grid(32)
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
@@ -196,7 +196,7 @@ def test_two_processes_learn_what_one_learns(three: Dataset, tmp_path: Path) -> 
     script = (
         "import torch; torch.set_num_threads(1)\n"
         "from deepfracture.dataset import open_dataset\n"
-        "from deepfracture.learn.fields import FieldConfig, train_field\n"
+        "from deepfracture.learn.published import FieldConfig, train_field\n"
         f"train_field(open_dataset({str(three.path)!r}), {str(tmp_path / 'two')!r}, {SLOW!r}, epochs=2, device='cpu')\n"
     )
     shared = {**os.environ, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": "2"}
@@ -392,5 +392,5 @@ def test_the_card_tells_the_run(run: Path) -> None:
 
 
 def test_importing_needs_no_torch() -> None:
-    code = "import sys, deepfracture.learn.fields as f; f.preset('paper'); sys.exit('torch' in sys.modules)"
+    code = "import sys, deepfracture.learn.published as f; f.preset('paper'); sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -10,7 +10,7 @@ import pytest
 from deepfracture.carve import segment
 from deepfracture.geometry import builtin
 from deepfracture.learn import embedded_model, load_model, predict
-from deepfracture.learn.prediction import SHIPPED
+from deepfracture.learn.partition.model import SHIPPED
 from deepfracture.types import Impact
 
 NAMES = sorted(path.stem for path in SHIPPED.glob("*.safetensors"))

@@ -23,11 +23,11 @@ from deepfracture.learn import (
     Config,
     embedded_model,
     load_model,
-    network,
     predict,
     train,
 )
 from deepfracture.learn.checkpoint import pack_distance, read, unpack_distance, write
+from deepfracture.learn.partition import network
 from deepfracture.types import BadInput, Grid, Impact, Material, Mesh, Shape
 
 torch = pytest.importorskip("torch")

@@ -21,15 +21,15 @@ import torch  # noqa: TID253  (the room of torch)
 
 from deepfracture.dataset import Dataset
 from deepfracture.learn.checkpoint import read, write
-from deepfracture.learn.fields.codes import draw_siren, encode
-from deepfracture.learn.fields.lesson import Lesson
-from deepfracture.learn.fields.model import FieldModel, build, prepared, save_field_model
-from deepfracture.learn.fields.report import FieldPoint, field_card, write_field_curve
-from deepfracture.learn.fields.settings import PIX2PIX, FieldConfig
-from deepfracture.learn.fields.teaching import Teacher, faster_precision, learned, reads_points
-from deepfracture.learn.memory import Recall, recall
+from deepfracture.learn.distributed import Team, assemble, pick_device
+from deepfracture.learn.published.codes import draw_siren, encode
+from deepfracture.learn.published.config import PIX2PIX, FieldConfig
+from deepfracture.learn.published.data import Lesson
+from deepfracture.learn.published.model import FieldModel, build, prepared, save_field_model
+from deepfracture.learn.published.report import FieldPoint, field_card, write_field_curve
+from deepfracture.learn.published.train_step import Teacher, faster_precision, learned, reads_points
+from deepfracture.learn.reconstruction import Recall, recall
 from deepfracture.learn.report import Card, write_card
-from deepfracture.learn.team import Team, assemble, pick_device
 from deepfracture.learn.training import KEEP_EVERY, LOOKS, Budget, interrupt_later
 from deepfracture.runtime.lock import alone
 from deepfracture.runtime.progress import log, stage, track

@@ -13,7 +13,7 @@ from itertools import pairwise
 import torch  # noqa: TID253  (the room of torch)
 from torch import Tensor, nn  # noqa: TID253
 
-from deepfracture.learn.fields.settings import FieldConfig
+from deepfracture.learn.published.config import FieldConfig
 from deepfracture.types import Floats32, Grid
 
 CHANNELS = 32

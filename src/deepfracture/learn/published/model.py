@@ -15,13 +15,13 @@ from torch import Tensor, nn  # noqa: TID253
 from deepfracture.learn import fit
 from deepfracture.learn.checkpoint import check, pack_distance, read, unpack_distance, write
 from deepfracture.learn.codebook import nearest_first
-from deepfracture.learn.field import Body
-from deepfracture.learn.fields.codes import encode, siren_shapes
-from deepfracture.learn.fields.mlp import CoordinateMLP
-from deepfracture.learn.fields.paper import PaperDecoder
-from deepfracture.learn.fields.pix2pix import Pix2Pix
-from deepfracture.learn.fields.settings import MLP, PAPER, PIX2PIX, FieldConfig
 from deepfracture.learn.normaliser import Normaliser
+from deepfracture.learn.partition.field import Body
+from deepfracture.learn.published.codes import encode, siren_shapes
+from deepfracture.learn.published.config import MLP, PAPER, PIX2PIX, FieldConfig
+from deepfracture.learn.published.mlp import CoordinateMLP
+from deepfracture.learn.published.paper import PaperDecoder
+from deepfracture.learn.published.pix2pix import Pix2Pix
 from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
 FORMAT = 1

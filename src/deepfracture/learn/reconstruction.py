@@ -11,7 +11,7 @@ import numpy as np
 
 from deepfracture.carve import encode, segment
 from deepfracture.compare import variation_of_information
-from deepfracture.learn.field import Body
+from deepfracture.learn.partition.field import Body
 from deepfracture.types import Floats32, FracturePattern, Volume
 
 

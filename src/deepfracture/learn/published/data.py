@@ -13,11 +13,11 @@ from deepfracture.carve import encode, segment
 from deepfracture.compare import variation_of_information
 from deepfracture.dataset import Dataset
 from deepfracture.geometry import signed_distance
-from deepfracture.learn.field import Body
-from deepfracture.learn.fields.settings import FieldConfig
-from deepfracture.learn.memory import Probe
+from deepfracture.learn.memory_map import on_disk
 from deepfracture.learn.normaliser import Normaliser
-from deepfracture.learn.spill import on_disk
+from deepfracture.learn.partition.field import Body
+from deepfracture.learn.published.config import FieldConfig
+from deepfracture.learn.reconstruction import Probe
 from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Volume
 

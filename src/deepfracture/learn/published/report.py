@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepfracture.dataset import Dataset
-from deepfracture.learn.fields.settings import FieldConfig
-from deepfracture.learn.memory import Recall
+from deepfracture.learn.published.config import FieldConfig
+from deepfracture.learn.reconstruction import Recall
 from deepfracture.learn.report import COLUMNS, Point, replace_file
 
 STABLE = 4e-4

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfracture.learn.settings import Config
+from deepfracture.learn.partition.config import Config
 from deepfracture.types import Floats32
 
 OMEGA = 30.0

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.learn.choice import FAINT, VARIETY
-from deepfracture.learn.field import CRUMB
-from deepfracture.learn.lattice import Lattice
-from deepfracture.learn.network import OMEGA
+from deepfracture.learn.partition.field import CRUMB
+from deepfracture.learn.partition.lattice import Lattice
+from deepfracture.learn.partition.network import OMEGA
+from deepfracture.learn.partition.selector import FAINT, VARIETY
 from deepfracture.runtime.extras import need
 from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats32, Grid
@@ -25,7 +25,7 @@ from deepfracture.types import BadInput, Floats32, Grid
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
 
-    from deepfracture.learn.prediction import Model
+    from deepfracture.learn.partition.model import Model
 
 OPSET, IR = 17, 8
 """Of 2022: what game engines and runtimes of some years ago read."""

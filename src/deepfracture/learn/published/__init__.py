@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepfracture.learn.checkpoint import KEY
-from deepfracture.learn.fields.settings import PRESETS, FieldConfig, preset
-from deepfracture.learn.settings import need_training
+from deepfracture.learn.partition.config import need_training
+from deepfracture.learn.published.config import PRESETS, FieldConfig, preset
 from deepfracture.runtime.extras import need
 from deepfracture.types import BadInput
 
 if TYPE_CHECKING:
     from deepfracture.dataset import Dataset
-    from deepfracture.learn.fields.model import FieldModel
+    from deepfracture.learn.published.model import FieldModel
     from deepfracture.learn.report import Card
 
 __all__ = ["PRESETS", "FieldConfig", "kind_of", "load_field_model", "preset", "train_field"]
@@ -24,9 +24,9 @@ def train_field(
     dataset: Dataset, out: Path | str, config: FieldConfig | None = None, *,
     epochs: int | None = None, minutes: float | None = None, resume: bool = True, device: str = "auto", seed: int = 0,
 ) -> Card:  # fmt: skip
-    """Train a network on `dataset` in the run folder `out`: see `learn.fields.training.train_field`."""
+    """Train a network on `dataset` in the run folder `out`: see `learn.published.training.train_field`."""
     need_training()
-    from deepfracture.learn.fields.training import train_field as run
+    from deepfracture.learn.published.training import train_field as run
 
     return run(
         dataset, Path(out), config or FieldConfig(),
@@ -41,8 +41,8 @@ def load_field_model(path: Path | str, *, device: str = "auto") -> FieldModel:
         BadInput: In one line, what is missing, damaged, or of another format; torch or the device is not there.
     """
     need("torch", extra="train", to=f"predict with the field model {path}")
-    from deepfracture.learn.fields.model import load_field_model as load
-    from deepfracture.learn.team import pick_device
+    from deepfracture.learn.distributed import pick_device
+    from deepfracture.learn.published.model import load_field_model as load
 
     return load(Path(path), pick_device(device))
 

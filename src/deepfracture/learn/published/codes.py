@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.learn.fields.settings import PIX2PIX, FieldConfig
-from deepfracture.learn.network import OMEGA
+from deepfracture.learn.partition.network import OMEGA
+from deepfracture.learn.published.config import PIX2PIX, FieldConfig
 from deepfracture.types import Floats32
 
 

@@ -7,12 +7,12 @@ import time
 import torch  # noqa: TID253  (the room of torch)
 from torch import Tensor, nn  # noqa: TID253
 
-from deepfracture.learn.fields.lesson import Lesson, squared_error
-from deepfracture.learn.fields.mlp import CoordinateMLP
-from deepfracture.learn.fields.model import prepared
-from deepfracture.learn.fields.pix2pix import Discriminator, Pix2Pix
-from deepfracture.learn.fields.settings import FieldConfig
-from deepfracture.learn.team import Team
+from deepfracture.learn.distributed import Team
+from deepfracture.learn.published.config import FieldConfig
+from deepfracture.learn.published.data import Lesson, squared_error
+from deepfracture.learn.published.mlp import CoordinateMLP
+from deepfracture.learn.published.model import prepared
+from deepfracture.learn.published.pix2pix import Discriminator, Pix2Pix
 
 FIELD_WEIGHT = 100.0
 """Weight of the absolute error against the discriminator's verdict (Isola et al. 2017)."""

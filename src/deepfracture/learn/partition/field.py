@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.carve.encode import mark_parted
-from deepfracture.learn.lattice import Lattice
+from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.runtime.parallel import spread
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 

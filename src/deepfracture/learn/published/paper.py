@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch  # noqa: TID253  (the room of torch)
 from torch import Tensor, nn  # noqa: TID253
 
-from deepfracture.learn.fields.settings import FieldConfig
+from deepfracture.learn.published.config import FieldConfig
 
 CHANNELS = 64
 TRUNK = 128

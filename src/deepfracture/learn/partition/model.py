@@ -11,13 +11,14 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from deepfracture.learn import fit, network
+from deepfracture.learn import fit
 from deepfracture.learn.checkpoint import check, pack_distance, read, unpack_distance, write
-from deepfracture.learn.choice import VARIETY, Choice, Similarity
 from deepfracture.learn.codebook import nearest_first
-from deepfracture.learn.field import Body, volume_of
 from deepfracture.learn.normaliser import Normaliser
-from deepfracture.learn.settings import Config
+from deepfracture.learn.partition import network
+from deepfracture.learn.partition.config import Config
+from deepfracture.learn.partition.field import Body, volume_of
+from deepfracture.learn.partition.selector import VARIETY, Choice, Similarity
 from deepfracture.runtime.parallel import one_blas_thread, product
 from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
@@ -25,7 +26,7 @@ FORMAT = 2
 KIND = "model"
 REACH = 0.3
 """Distance [m] outside up to which the surface's distance matters: `segment` and `fits` look no farther."""
-SHIPPED = Path(__file__).parent / "models"
+SHIPPED = Path(__file__).parents[1] / "models"
 
 
 @dataclass(frozen=True, eq=False)
