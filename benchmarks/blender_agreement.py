@@ -22,7 +22,8 @@ from scipy.spatial import cKDTree
 
 from deepfracture.export import write_glb, write_usd
 from deepfracture.export.names import body_names
-from deepfracture.recording.motion import break_frame, pose, rotation_matrices, shortest_turn, similarity
+from deepfracture.geometry.rotations import quat_between, rotation_matrices
+from deepfracture.recording.motion import break_frame, pose, similarity
 from deepfracture.types import BadInput, Floats, NoSolution, Recording, Track
 
 FORMATS = ("glb", "usdc", "abc", "fbx")
@@ -114,7 +115,7 @@ def points(each: Floats) -> int:
 def in_blender(recording: Recording, track: Track, frame: int) -> Floats:
     """Where Blender should have the vertices of a body, shape (n, 3): the user's coordinates, their up turned to z."""
     scale, turn, shift = similarity(recording)
-    upright = Z_UP @ rotation_matrices(shortest_turn(turn[:, 2], np.array([0.0, 1.0, 0.0])))
+    upright = Z_UP @ rotation_matrices(quat_between(turn[:, 2], np.array([0.0, 1.0, 0.0])))
     matrix = pose(track, frame)
     world = track.mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
     return (scale * world @ turn.T + shift) @ upright.T

@@ -20,11 +20,12 @@ from common import DATA, MISSES, ROOT, SPEEDS, shape_named, start, table, write_
 from deepfracture.breakers import make_breaker
 from deepfracture.fracture import material
 from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.learn import embedded_model
 from deepfracture.runtime.files import replacing
 from deepfracture.types import BadInput, Floats, Fragments, Grid, Material, Shape
 from deepfracture.world import ENGINES, Scene, first_impact, learning_scene
-from deepfracture.world.engine import Mass, Motion, Surface, open_engine, rotation
+from deepfracture.world.engine import Mass, Motion, Surface, open_engine
 from deepfracture.world.stage import Hit, Stage
 
 SHAPES = ("pot", "bunny", "base", "mug", "squirrel")
@@ -185,7 +186,7 @@ def moving_whole(hit: Hit, fragments: Fragments, push: float) -> list[Motion]:
     """The motion of each fragment at the swap."""
     velocity = hit.before.velocity + push * (hit.after.velocity - hit.before.velocity)
     spin = hit.before.spin + push * (hit.after.spin - hit.before.spin)
-    turn = rotation(hit.before.quat_wxyz)
+    turn = rotation_matrix(hit.before.quat_wxyz)
     return [
         Motion(
             hit.before.position, hit.before.quat_wxyz,
@@ -205,7 +206,7 @@ def momentum(moving: Moving) -> tuple[Floats, Floats, float]:
     """Linear and angular momentum about the origin [N s, N m s], kinetic energy [J]."""
     linear, angular, energy = np.zeros(3), np.zeros(3), 0.0
     for mass, motion in moving:
-        turn = rotation(motion.quat_wxyz)
+        turn = rotation_matrix(motion.quat_wxyz)
         about = turn @ mass.inertia @ turn.T @ motion.spin
         linear += mass.mass * motion.velocity
         angular += mass.mass * np.cross(motion.position + turn @ mass.centre, motion.velocity) + about

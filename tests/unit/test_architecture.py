@@ -24,7 +24,7 @@ ARROWS = {
     "breakers": {"geometry", "fracture", "carve", "dataset", "learn"},
     "evaluate": {"geometry", "carve", "compare", "dataset", "learn", "breakers"},
     "validation": {"geometry", "fracture", "world"},
-    "viewer": {"world", "recording", "render", "export"},
+    "viewer": {"geometry", "world", "recording", "render", "export"},
     "play": {"geometry", "fracture", "learn", "breakers", "world", "recording", "render", "export", "viewer"},
     "soak": {"geometry", "fracture", "learn", "breakers", "world", "validation"},
     "bench": {"geometry", "fracture", "carve", "world", "export", "dataset", "learn", "breakers", "render", "viewer"},

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from deepfracture.geometry import builtin, mass_properties, signed_distance_points
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Fragment, Fragments, Impact, Material, Mesh, Recording, Shape
 from deepfracture.world import (
     Ball,
@@ -25,7 +26,7 @@ from deepfracture.world import (
     simulate,
     throw_scene,
 )
-from deepfracture.world.engine import Mass, Motion, Surface, open_engine, rotation
+from deepfracture.world.engine import Mass, Motion, Surface, open_engine
 from deepfracture.world.stage import Hit, Stage
 
 ENGINES = [
@@ -80,7 +81,7 @@ def _momentum(engine_bodies: Sequence[tuple[Mass, Motion]]) -> tuple[np.ndarray,
     """Linear and angular momentum about the origin."""
     linear, angular = np.zeros(3), np.zeros(3)
     for mass, motion in engine_bodies:
-        turn = rotation(motion.quat_wxyz)
+        turn = rotation_matrix(motion.quat_wxyz)
         centre = motion.position + turn @ mass.centre
         linear += mass.mass * motion.velocity
         angular += mass.mass * np.cross(centre, motion.velocity)
@@ -117,12 +118,12 @@ def test_poses_are_of_the_mesh_frame(engine: str) -> None:
     body = world.add_body([shape.mesh.vertices[::50]], mass, start)
     first = world.motion(body)
     np.testing.assert_allclose(first.position, start.position, atol=1e-6)
-    np.testing.assert_allclose(rotation(first.quat_wxyz), rotation(quat), atol=1e-6)
+    np.testing.assert_allclose(rotation_matrix(first.quat_wxyz), rotation_matrix(quat), atol=1e-6)
     for _ in range(240):
         world.step(1 / 240)
     last = world.motion(body)
     world.close()
-    centres = [m.position + rotation(m.quat_wxyz) @ mass.centre for m in (first, last)]
+    centres = [m.position + rotation_matrix(m.quat_wxyz) @ mass.centre for m in (first, last)]
     np.testing.assert_allclose(centres[1], centres[0], atol=1e-4)
     assert np.linalg.norm(last.position - first.position) > 0.01
     before, after = (_momentum([(mass, m)])[1] for m in (first, last))
@@ -142,7 +143,7 @@ def test_impulse_is_m_dv_and_momentum_is_conserved(engine: str, name: str) -> No
         hit = _run(scene, shape).collisions[0]
         ball = scene.balls[0]
         impulse = (hit.impact.magnitude[:, None] * hit.impact.direction).sum(axis=0)
-        turn = rotation(hit.before.quat_wxyz)
+        turn = rotation_matrix(hit.before.quat_wxyz)
         gained = mass.mass * (hit.after.velocity - hit.before.velocity)
         assert np.linalg.norm(turn @ impulse - gained) < 0.05 * np.linalg.norm(gained)
         assert hit.impact.radius == ball.radius
@@ -205,7 +206,7 @@ def test_impulse_on_the_floor(engine: str) -> None:
     assert len(hit.impact.magnitude) > 1
     impulse = (hit.impact.magnitude[:, None] * hit.impact.direction).sum(axis=0)
     gained = _mass(shape).mass * (hit.after.velocity - hit.before.velocity)
-    turn = rotation(hit.before.quat_wxyz)
+    turn = rotation_matrix(hit.before.quat_wxyz)
     assert np.linalg.norm(turn @ impulse - gained) < 0.05 * hit.impact.magnitude.sum()
     low = hit.impact.position[:, 2] < -0.9
     assert low.any()
@@ -270,7 +271,10 @@ def test_breaking_conserves_momentum(engine: str, push: float) -> None:
         if track.kind == "shape":
             continue
         mass = solid if track.kind == "ball" else _piece_mass(pieces, track.name)
-        ends = [p + rotation(q) @ mass.centre for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)]
+        ends = [
+            p + rotation_matrix(q) @ mass.centre
+            for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)
+        ]
         after += mass.mass * (ends[1] - ends[0]) / outcome.recording.frame_time
     assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)
 
@@ -305,7 +309,7 @@ def test_a_new_body_has_its_own_inertia_in_its_first_step(engine: str, moved: bo
     shape = builtin("bar")
     mass, solid = _mass(shape), Mass(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
     askew = np.array([0.8, 0.2, -0.4, 0.4])
-    turn = rotation(askew)
+    turn = rotation_matrix(askew)
     gap = np.array([0.6, shape.mesh.vertices[:, 1].min() - 0.2 - 1e-4, 0.1])
     world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
     bar = world.add_body([shape.mesh.vertices], mass, _still() if moved else replace(_still(), quat_wxyz=askew))
@@ -435,7 +439,7 @@ def test_fragments_with_rough_cracks_do_not_jump(engine: str) -> None:
 def _lowest(recording: Recording) -> float:
     """Lowest vertex of any fragment in the last frame [m]."""
     return min(
-        float((t.mesh.vertices @ rotation(t.quats_wxyz[-1])[2] + t.positions[-1][2]).min())
+        float((t.mesh.vertices @ rotation_matrix(t.quats_wxyz[-1])[2] + t.positions[-1][2]).min())
         for t in recording.tracks
         if t.kind == "fragment"
     )
@@ -511,7 +515,7 @@ def test_a_recording_has_every_body_when_it_is_there(engine: str) -> None:
     assert tracks["ball1"].start == 30
     assert tracks["floor"].stop == outcome.recording.frames
     # At the start the shape lies where the user's file has it.
-    world = tracks["shape0"].mesh.vertices @ rotation(tracks["shape0"].quats_wxyz[0]).T
+    world = tracks["shape0"].mesh.vertices @ rotation_matrix(tracks["shape0"].quats_wxyz[0]).T
     world = world + tracks["shape0"].positions[0]
     user = world @ outcome.recording.user_from_world[:3, :3].T + outcome.recording.user_from_world[:3, 3]
     np.testing.assert_allclose(user, shape.to_user(shape.mesh.vertices), atol=1e-6)
@@ -576,7 +580,7 @@ def test_a_body_lies_on_a_turned_block(engine: str) -> None:
     drawn = tracks["block0"]
     assert drawn.kind == "block"
     assert (drawn.start, drawn.stop) == (0, recording.frames)
-    corners = drawn.mesh.vertices @ rotation(drawn.quats_wxyz[-1]).T + drawn.positions[-1]
+    corners = drawn.mesh.vertices @ rotation_matrix(drawn.quats_wxyz[-1]).T + drawn.positions[-1]
     np.testing.assert_allclose(np.abs(corners - [0, 0, 1.0]).max(axis=0), [0.25, 0.5, 1.0], atol=1e-9)
 
 
@@ -620,7 +624,7 @@ def test_shear_scenes_load_a_shape_between_ball_and_edge(engine: str, name: str)
         scene = draw_scene("shear", shape, rng, material="stone", speed=(6.0, 10.0), seed=0)
         impact = joint_impact(scene, shape, materials=STONE, engine=engine)
         assert impact is not None
-        turn = rotation(np.array(scene.shapes[0].quat_wxyz))
+        turn = rotation_matrix(np.array(scene.shapes[0].quat_wxyz))
         impulse = (impact.magnitude[:, None] * impact.direction) @ turn.T
         ball = int(np.argmin(impulse[:, 2]))
         answers = np.delete(impulse[:, 2], ball)
@@ -703,7 +707,8 @@ def test_breaking_again_conserves_momentum(engine: str) -> None:
         if track.stop == outcome.recording.frames:
             mass = (masses | solids)[track.name]
             ends = [
-                p + rotation(q) @ mass.centre for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)
+                p + rotation_matrix(q) @ mass.centre
+                for p, q in zip(track.positions[-2:], track.quats_wxyz[-2:], strict=True)
             ]
             after += mass.mass * (ends[1] - ends[0]) / outcome.recording.frame_time
     assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from deepfracture import __version__
 from deepfracture.export.names import body_names
-from deepfracture.recording.motion import continuous, keys, pivot, pivot_positions, quat_of, shortest_turn, similarity
+from deepfracture.geometry.rotations import continuous_quats, quat_between, quats_from_matrices
+from deepfracture.recording.motion import keys, pivot, pivot_positions, similarity
 from deepfracture.recording.surface import METALLIC, ROUGHNESS, Surface, linear, track_surfaces
 from deepfracture.runtime.files import replacing
 from deepfracture.types import Floats, Recording, Track
@@ -92,11 +93,11 @@ class _Builder:
                 name="user_from_world",
                 children=bodies,
                 translation=[float(v) for v in shift],
-                rotation=_xyzw(quat_of(turn)),
+                rotation=_xyzw(quats_from_matrices(turn)),
                 scale=[scale] * 3,
             )
         )
-        root = self.g.Node(name="y_up", children=[len(bodies)], rotation=_xyzw(shortest_turn(turn[:, 2], Y_UP)))
+        root = self.g.Node(name="y_up", children=[len(bodies)], rotation=_xyzw(quat_between(turn[:, 2], Y_UP)))
         self.doc.nodes.append(root)
         self.doc.scenes = [self.g.Scene(name="deepfracture", nodes=[len(bodies) + 1])]
         self.doc.scene = 0
@@ -106,7 +107,7 @@ class _Builder:
         g, node = self.g, len(self.doc.nodes)
         primitives = [self.primitive(surface, pivot(track)) for surface in track_surfaces(track)]
         self.doc.meshes.append(g.Mesh(name=name, primitives=primitives))
-        places, quats = pivot_positions(track), continuous(track.quats_wxyz)
+        places, quats = pivot_positions(track), continuous_quats(track.quats_wxyz)
         self.doc.nodes.append(
             g.Node(
                 name=name,

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from deepfracture.export.meshes import texels
 from deepfracture.export.names import body_names
 from deepfracture.export.wavefront import material_lines, picture_name
-from deepfracture.recording.motion import continuous, pivot, pivot_positions, rotation_matrices, similarity
+from deepfracture.geometry.rotations import continuous_quats, rotation_matrices, slerp
+from deepfracture.recording.motion import pivot, pivot_positions, similarity
 from deepfracture.recording.surface import Surface, track_surfaces
 from deepfracture.runtime.files import replacing_folder
 from deepfracture.runtime.progress import track as with_progress
@@ -84,7 +85,7 @@ class _Body:
         low = min(int(at + NEAR), len(self.places) - 1)
         share, high = at - low, min(low + 1, len(self.places) - 1)
         place = (1 - share) * self.places[low] + share * self.places[high]
-        turn = rotation_matrices(_slerp(self.quats[low], self.quats[high], share))
+        turn = rotation_matrices(slerp(self.quats[low], self.quats[high], share))
         scale, rotation, shift = self.user
         return rotation @ turn, scale * rotation @ place + shift
 
@@ -104,17 +105,9 @@ def _bodies(recording: Recording) -> list[_Body]:
             continue
         parts = track_surfaces(track)
         used = np.unique(np.concatenate([part.origin for part in parts]))
-        quats = continuous(track.quats_wxyz)
+        quats = continuous_quats(track.quats_wxyz)
         bodies.append(_Body(name, len(bodies), track, parts, used, pivot_positions(track), quats, user))
     return bodies
-
-
-def _slerp(start: Floats, end: Floats, share: float) -> Floats:
-    """Shoemake 1985; for neighbours in a half sphere."""
-    angle = np.arccos(np.clip(start @ end, -1.0, 1.0))
-    if angle < 1e-6:
-        return start
-    return (np.sin((1 - share) * angle) * start + np.sin(share * angle) * end) / np.sin(angle)
 
 
 Writer = Callable[[list[_Body], float], bytes]

@@ -17,17 +17,8 @@ from numpy.typing import NDArray
 from deepfracture import __version__
 from deepfracture.export.names import body_names
 from deepfracture.export.usd_looks import Looks
-from deepfracture.recording.motion import (
-    break_frame,
-    continuous,
-    keys,
-    pivot,
-    pivot_positions,
-    quat_of,
-    rotation_matrices,
-    shortest_turn,
-    similarity,
-)
+from deepfracture.geometry.rotations import continuous_quats, quat_between, quats_from_matrices, rotation_matrices
+from deepfracture.recording.motion import break_frame, keys, pivot, pivot_positions, similarity
 from deepfracture.recording.surface import track_surfaces
 from deepfracture.runtime.extras import need
 from deepfracture.runtime.files import replacing, replacing_folder
@@ -163,7 +154,7 @@ class _Frame:
     def of(recording: Recording) -> _Frame:
         scale, turn, shift = similarity(recording)
         if not _z_is_up(recording):
-            upright = rotation_matrices(shortest_turn(turn[:, 2], np.array([0.0, 1.0, 0.0])))
+            upright = rotation_matrices(quat_between(turn[:, 2], np.array([0.0, 1.0, 0.0])))
             turn, shift = upright @ turn, upright @ shift
         return _Frame(scale, turn, shift)
 
@@ -231,7 +222,7 @@ class _Body:
         self.moves = track.kind not in FIXED
         self.steps = {0: track.start == 0, track.start: True} | ({track.stop: False} if track.stop < frames else {})
         """Whether it is there, from which frame on."""
-        turns = frame.turn @ rotation_matrices(continuous(track.quats_wxyz))
+        turns = frame.turn @ rotation_matrices(continuous_quats(track.quats_wxyz))
         self.axes = turns[self.still]
         self.places = frame.places(pivot_positions(track))
         xform = UsdGeom.Xform.Define(stage, path)
@@ -239,7 +230,7 @@ class _Body:
         self.prim.SetCustomDataByKey("deepfracture:kind", track.kind)
         self.place = xform.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble)
         self.turn = xform.AddOrientOp(UsdGeom.XformOp.PrecisionDouble)
-        self.quats = continuous(quat_of(turns @ self.axes.T))
+        self.quats = continuous_quats(quats_from_matrices(turns @ self.axes.T))
         parts = track_surfaces(track)
         mesh = looks.mesh(f"{path}/{self.prim.GetName()}_mesh", parts, self.own, self.axes)
         self.mesh = mesh
@@ -280,7 +271,7 @@ class _Body:
         mass.CreateMassAttr(rigid.mass)
         mass.CreateCenterOfMassAttr(Gf.Vec3f(0.0))
         mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*(self.frame.scale**2 * moments).tolist()))
-        mass.CreatePrincipalAxesAttr(Gf.Quatf(*quat_of(axes).tolist()))
+        mass.CreatePrincipalAxesAttr(Gf.Quatf(*quats_from_matrices(axes).tolist()))
 
     def _pose(self, k: int) -> None:
         """It stands where it was in frame `k` of its track."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfracture.fracture import MATERIALS
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.play.guard import limit_uploads, number
 from deepfracture.play.library import KINDS, Entry, Library, too_large
 from deepfracture.play.session import Readout, Setup, Shot
@@ -15,7 +16,6 @@ from deepfracture.play.telling import Timing, breaker_html, readout_html, status
 from deepfracture.render.camera import frame_points
 from deepfracture.types import BadInput
 from deepfracture.world import GRAVITY, UPRIGHT, Pose
-from deepfracture.world.engine import rotation
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiButtonGroupHandle, GuiEvent, GuiSliderHandle, GuiUploadButtonHandle
@@ -228,7 +228,7 @@ class Panel:
 
     def look_at(self, pose: Pose) -> None:
         """Stand before a body."""
-        points = pose.mesh.vertices @ rotation(pose.quat_wxyz).T + pose.position
+        points = pose.mesh.vertices @ rotation_matrix(pose.quat_wxyz).T + pose.position
         middle = points.mean(axis=0)
         camera = frame_points(middle + AROUND * (points - middle), ASPECT, azimuth=AZIMUTH, elevation=ELEVATION)
         view = self._client.camera

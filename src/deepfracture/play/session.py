@@ -10,12 +10,12 @@ import numpy as np
 from deepfracture.breakers import AGAIN
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.play.aim import Obstacle, launch
 from deepfracture.play.library import Entry, Library
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import BadInput, Floats, Recording
 from deepfracture.world import GRAVITY, UPRIGHT, Ball, Collision, Floor, Live, Pose, Scene, standing, throw_scene
-from deepfracture.world.engine import rotation
 
 GENERATIONS = 3
 """Of fragments that may break again: where a ball hits them, as to ask about all that fall takes too long."""
@@ -196,7 +196,8 @@ class Session:
         return Live(scene, [shape], breaker, np.random.default_rng(setup.seed), materials=materials)
 
     def _obstacles(self) -> list[Obstacle]:
-        return [Obstacle(pose.mesh, pose.position, rotation(pose.quat_wxyz)) for pose in self.at(self.frames - 1)]
+        poses = self.at(self.frames - 1)
+        return [Obstacle(pose.mesh, pose.position, rotation_matrix(pose.quat_wxyz)) for pose in poses]
 
 
 def rehearse(library: Library, entry: Entry, setup: Setup) -> int:

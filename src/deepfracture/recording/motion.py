@@ -5,29 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deepfracture.geometry.rotations import continuous_quats, rotation_matrices
 from deepfracture.types import Floats, Ints, Recording, Track
 
 KEY_TOL = 1e-6
 """[m] and quaternion units: a body that moves less than this is at rest; float32 noise at unit scale."""
-
-
-def rotation_matrices(quats_wxyz: Floats) -> Floats:
-    """Rotation matrices of unit quaternions, shape (n, 3, 3)."""
-    w, x, y, z = np.moveaxis(quats_wxyz, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def quat_of(matrix: Floats) -> Floats:
-    """Quaternions (..., 4), w, x, y, z, w >= 0, of rotation matrices (..., 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    quats = np.roll(Rotation.from_matrix(matrix).as_quat(), 1, axis=-1)
-    return np.where(quats[..., :1] < 0, -quats, quats)
 
 
 def exists(track: Track, frame: int) -> bool:
@@ -57,14 +39,6 @@ def floor_height(recording: Recording) -> float | None:
     return float(max(tops)) if tops else None
 
 
-def continuous(quats_wxyz: Floats) -> Floats:
-    """The same rotations, normalised, each quaternion in the half sphere of the one before."""
-    quats = quats_wxyz / np.linalg.norm(quats_wxyz, axis=1, keepdims=True)
-    turn = np.einsum("ni,ni->n", quats[1:], quats[:-1]) < 0
-    flips = np.concatenate([[0], np.cumsum(turn)]) % 2
-    return np.where(flips[:, None] == 1, -quats, quats)
-
-
 def keys(values: NDArray, tolerance: float = KEY_TOL) -> Ints:
     """Frames to keep so that linear interpolation stays within `tolerance`, shape (k,).
 
@@ -87,16 +61,6 @@ def similarity(recording: Recording) -> tuple[float, Floats, Floats]:
     return scale, user[:3, :3] / scale, user[:3, 3]
 
 
-def shortest_turn(start: NDArray, end: NDArray) -> Floats:
-    """Shortest rotation (w, x, y, z) that takes one unit vector to another; opposite ones by way of z or x."""
-    axis, cosine = np.cross(start, end), start @ end
-    if cosine < -1 + 1e-9:
-        axis = np.cross(end, (0.0, 0.0, 1.0) if abs(end[2]) < 0.9 else (1.0, 0.0, 0.0))
-        return np.array([0.0, *(axis / np.linalg.norm(axis))])
-    quat = np.array([1 + cosine, *axis])
-    return quat / np.linalg.norm(quat)
-
-
 def pivot(track: Track) -> Floats:
     """The point of the mesh frame about which a body turns, shape (3,): its centre of mass, where that is known.
 
@@ -106,4 +70,4 @@ def pivot(track: Track) -> Floats:
 
 def pivot_positions(track: Track) -> Floats:
     """Where the pivot is in the world, shape (n, 3)."""
-    return track.positions + rotation_matrices(continuous(track.quats_wxyz)) @ pivot(track)
+    return track.positions + rotation_matrices(continuous_quats(track.quats_wxyz)) @ pivot(track)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture.recording.motion import exists, floor_height, rotation_matrices
+from deepfracture.geometry.rotations import rotation_matrices
+from deepfracture.recording.motion import exists, floor_height
 from deepfracture.recording.surface import COLOURS, Surface, track_surfaces
 from deepfracture.render.camera import Camera
 from deepfracture.types import Floats, Floats32, Recording

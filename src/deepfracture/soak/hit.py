@@ -20,13 +20,13 @@ from deepfracture.breakers.physical import Physical
 from deepfracture.breakers.restrict import piece_grid
 from deepfracture.fracture import MATERIALS, FractureBody
 from deepfracture.geometry import load_shape
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.runtime.memory import give_back, resident_mb
 from deepfracture.soak.plan import RECALLING, Case, Settings, data_of, model_of
 from deepfracture.soak.scenes import draw_scene
 from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Recording, Shape, Track
 from deepfracture.validation.fragments import check_fragments
 from deepfracture.world import Live, Scene
-from deepfracture.world.engine import rotation
 
 T = TypeVar("T")
 KEPT = 16
@@ -235,7 +235,8 @@ def _bodies(recording: Recording, scene: Scene) -> dict[str, Any]:
 def _lowest(track: Track) -> tuple[float, float]:
     """Least height of the centre of mass, and of any corner [m]."""
     assert track.rigid is not None
-    down = np.stack([rotation(quat)[2] for quat in track.quats_wxyz])  # height in the world, of a point of the mesh
+    # Each row maps a point of the mesh to its height in the world.
+    down = np.stack([rotation_matrix(quat)[2] for quat in track.quats_wxyz])
     height = track.positions[:, 2]
     corners = np.unique(np.concatenate(track.rigid.hulls), axis=0) if track.rigid.hulls else track.mesh.vertices
     return float((down @ track.rigid.centre + height).min()), float(((down @ corners.T).min(axis=1) + height).min())

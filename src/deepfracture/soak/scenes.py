@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from deepfracture.breakers import AGAIN
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Floats, Shape
 from deepfracture.world import GRAVITY, STEEL, UPRIGHT, Ball, Floor, Placed, Scene, standing
-from deepfracture.world.engine import rotation
 
 FLOOR_SHARE = 0.75
 """Of the scenes; the others are weightless, where balls come from below as well."""
@@ -61,7 +61,7 @@ def draw_scene(
 def _ball(shape: Shape, placed: Placed, rng: np.random.Generator, *, floor: bool, delay: float) -> Ball:
     """A ball whose straight way leads through a random point of the surface; gravity is made up for."""
     radius, speed = (float(np.exp(rng.uniform(*np.log(limits)))) for limits in (RADII, SPEEDS))
-    goal = np.array(placed.position) + rotation(np.array(placed.quat_wxyz)) @ _surface_point(shape, rng)
+    goal = np.array(placed.position) + rotation_matrix(np.array(placed.quat_wxyz)) @ _surface_point(shape, rng)
     outwards = rng.normal(size=3)
     outwards /= np.linalg.norm(outwards)
     if floor:

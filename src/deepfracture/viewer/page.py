@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.recording.motion import KEY_TOL, continuous, exists, floor_height
+from deepfracture.geometry.rotations import continuous_quats
+from deepfracture.recording.motion import KEY_TOL, exists, floor_height
 from deepfracture.recording.surface import track_surfaces
 from deepfracture.render.camera import frame_action
 from deepfracture.runtime.extras import need
@@ -80,7 +81,7 @@ def _recorded(server: ViserServer, recording: Recording, bodies: list[tuple[Trac
     """Play the recording into viser's serializer: a message for each body that moved."""
     serializer = server.get_scene_serializer()
     stride = max(1, round(1 / (PAGE_RATE * recording.frame_time)))
-    quats = [continuous(track.quats_wxyz) for track, _ in bodies]
+    quats = [continuous_quats(track.quats_wxyz) for track, _ in bodies]
     for frame in progress(range(0, recording.frames, stride), name="page"):
         for (track, handle), turns in zip(bodies, quats, strict=True):
             if handle.visible != exists(track, frame):

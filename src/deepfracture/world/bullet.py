@@ -15,22 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from deepfracture.geometry.rotations import quat_from_matrix, quat_multiply, rotation_matrix
 from deepfracture.runtime.extras import pip_line
 from deepfracture.runtime.files import scratch
 from deepfracture.types import BadInput, Floats
-from deepfracture.world.engine import (
-    FLOOR_DEPTH,
-    FLOOR_REACH,
-    ROLLING,
-    TURNING,
-    Contact,
-    Mass,
-    Motion,
-    Surface,
-    quaternion,
-    rotation,
-    times,
-)
+from deepfracture.world.engine import FLOOR_DEPTH, FLOOR_REACH, ROLLING, TURNING, Contact, Mass, Motion, Surface
 
 INSTANT = 1e-9
 """A step in which nothing happens [s]."""
@@ -95,7 +84,7 @@ class Bullet:
         moments, axes = mass.principal()
         shape = self._shape([(hull - mass.centre) @ axes for hull in hulls])
         self._fresh = True
-        return self._add(shape, mass.mass, moments, _Frame(mass.centre, quaternion(axes)), motion, TURNING)
+        return self._add(shape, mass.mass, moments, _Frame(mass.centre, quat_from_matrix(axes)), motion, TURNING)
 
     def add_ball(self, radius: float, mass: float, motion: Motion) -> int:
         shape = self._api.createCollisionShape(self._api.GEOM_SPHERE, radius=radius, **self._world)
@@ -165,8 +154,8 @@ class Bullet:
         frame = self._frames[body]
         place, (x, y, z, w) = self._api.getBasePositionAndOrientation(self._ids[body], **self._world)
         velocity, spin = self._api.getBaseVelocity(self._ids[body], **self._world)
-        quat = times(np.array([w, x, y, z]), frame.quat_wxyz * [1, -1, -1, -1])
-        origin = np.array(place) - rotation(quat) @ frame.centre
+        quat = quat_multiply(np.array([w, x, y, z]), frame.quat_wxyz * [1, -1, -1, -1])
+        origin = np.array(place) - rotation_matrix(quat) @ frame.centre
         return Motion(origin, quat, np.array(velocity), np.array(spin))
 
     def contacts(self, body: int, began: Motion) -> list[Contact]:
@@ -223,8 +212,8 @@ class Bullet:
 
 def _to_bullet(motion: Motion, frame: _Frame) -> tuple[list[float], list[float]]:
     """Place of the centre of mass and orientation (x, y, z, w) of the principal axes."""
-    w, x, y, z = times(motion.quat_wxyz, frame.quat_wxyz)
-    return list(motion.position + rotation(motion.quat_wxyz) @ frame.centre), [x, y, z, w]
+    w, x, y, z = quat_multiply(motion.quat_wxyz, frame.quat_wxyz)
+    return list(motion.position + rotation_matrix(motion.quat_wxyz) @ frame.centre), [x, y, z, w]
 
 
 def _obj(hulls: list[Floats]) -> str:

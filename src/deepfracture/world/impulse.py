@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfracture.geometry import closest
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Floats, Impact, Mesh
-from deepfracture.world.engine import Contact, Motion, rotation
+from deepfracture.world.engine import Contact, Motion
 
 LEAST_CLOSING = 0.3
 """Slower contacts are resting or settling, not collisions [m/s]: a fall of half a centimetre."""
@@ -80,7 +81,7 @@ def impact_of(
     if strongest == 0:
         return None
     blows = [blow for blow in blows if np.linalg.norm(blow.impulse) > NOISE * strongest]
-    turn = rotation(own.before.quat_wxyz)
+    turn = rotation_matrix(own.before.quat_wxyz)
     impulse = np.array([blow.impulse for blow in blows]) @ turn
     contact = (np.array([blow.position for blow in blows]) - own.before.position) @ turn
     magnitude = np.linalg.norm(impulse, axis=1)

@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from deepfracture.geometry.convex.hulls import whole_hulls
+from deepfracture.geometry.rotations import quat_from_matrix, quat_multiply, rotation_matrix
 from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Floats, Mesh, Shape
-from deepfracture.world.engine import quaternion, rotation, times
 from deepfracture.world.scene import STEEL, Ball, Block, Placed, Scene, Vector
 
 KINDS = ("single", "dual", "strength", "points", "shear")
@@ -122,7 +122,7 @@ def _shear(shape: Shape, rng: np.random.Generator, material: str, speed: tuple[f
     round; the ball comes straight down over the gap, so near to the edge of the first block that the shape is
     sheared between ball and block rather than bent."""
     quat = _lying(shape.mesh, rng)
-    turn = rotation(np.array(quat))
+    turn = rotation_matrix(np.array(quat))
     edge = rng.uniform(*EDGE)
     second = edge + rng.uniform(*GAP)
     over = edge + np.array(BESIDE)
@@ -149,7 +149,7 @@ def _lying(mesh: Mesh, rng: np.random.Generator) -> tuple[float, float, float, f
     angle = np.pi / 4 * rng.integers(4)
     roll = np.array([np.cos(angle), np.sin(angle), 0.0, 0.0])
     about = np.array([0.0, 0.0, 0.0, 1.0]) if rng.integers(2) else np.array([1.0, 0.0, 0.0, 0.0])
-    quat = quaternion(rotation(times(about, times(roll, np.array(to_x[axis])))))
+    quat = quat_from_matrix(rotation_matrix(quat_multiply(about, quat_multiply(roll, np.array(to_x[axis])))))
     w, x, y, z = (float(value) for value in quat)
     return w, x, y, z
 

@@ -7,19 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from deepfracture.geometry.rotations import quat_from_matrix, rotation_matrix
 from deepfracture.types import Floats
-from deepfracture.world.engine import (
-    FLOOR_DEPTH,
-    FLOOR_REACH,
-    ROLLING,
-    TURNING,
-    Contact,
-    Mass,
-    Motion,
-    Surface,
-    quaternion,
-    rotation,
-)
+from deepfracture.world.engine import FLOOR_DEPTH, FLOOR_REACH, ROLLING, TURNING, Contact, Mass, Motion, Surface
 
 SEPARATION = 1.0
 """Greatest speed at which overlapping bodies are moved apart [m/s] ..."""
@@ -59,7 +49,7 @@ class Rapier:
             local_com=tuple(mass.centre.tolist()),  # numbers of Python are read much faster
             mass=float(mass.mass),
             principal_inertia=tuple(moments.tolist()),
-            principal_inertia_local_frame=api.Rotation3(*quaternion(axes).tolist()),
+            principal_inertia_local_frame=api.Rotation3(*quat_from_matrix(axes).tolist()),
         )
         looks = self._looks(self._friction)
         return self._add(properties, motion, TURNING, [api.Collider.convex_hull(h, **looks) for h in hulls])
@@ -122,7 +112,7 @@ class Rapier:
 
     def contacts(self, body: int, began: Motion) -> list[Contact]:
         found: list[Contact] = []
-        turn = rotation(began.quat_wxyz)
+        turn = rotation_matrix(began.quat_wxyz)
         for collider in self._body(body).colliders:
             for pair in self._world.narrow_phase.contact_pairs_with(collider):
                 # Points are in the frame of the first collider, which is its body's: none has an offset.

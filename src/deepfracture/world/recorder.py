@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepfracture.geometry.rotations import nlerp, rotation_matrix
 from deepfracture.types import Floats, Fragments, Ints, Mesh, Recording, Rigid, Shape, Track
-from deepfracture.world.engine import Motion, rotation
+from deepfracture.world.engine import Motion
 from deepfracture.world.scene import Block, Scene
 from deepfracture.world.stage import Body, block_motion
 
@@ -111,7 +112,7 @@ class Recorder:
         if share > 0:
             then = [(line, min(k + 1, line.count - 1)) for _, line, k in there]
             places = (1 - share) * places + share * _rows([line.positions[3 * k : 3 * k + 3] for line, k in then], 3)
-            quats = _turned(quats, _rows([line.quats[4 * k : 4 * k + 4] for line, k in then], 4), share)
+            quats = nlerp(quats, _rows([line.quats[4 * k : 4 * k + 4] for line, k in then], 4), share)
         return [
             Pose(n, line.name, line.kind, line.mesh, line.source, line.whole, place, quat)
             for (n, line, _), place, quat in zip(there, places, quats, strict=True)
@@ -151,18 +152,11 @@ class Recorder:
     def _user_from_world(self) -> Floats:
         """Where the first shape's file has it, it is at the start."""
         placed = self._scene.shapes[0]
-        turn = rotation(np.asarray(placed.quat_wxyz)).T
+        turn = rotation_matrix(np.asarray(placed.quat_wxyz)).T
         similarity = np.eye(4)
         similarity[:3, :3] = self._reference.scale * turn
         similarity[:3, 3] = self._reference.to_user(-turn @ np.asarray(placed.position))
         return similarity
-
-
-def _turned(here: Floats, there: Floats, share: float) -> Floats:
-    """A share of the way from rotations to others, shape (n, 4)."""
-    there = np.where(np.einsum("ni,ni->n", here, there)[:, None] >= 0, there, -there)
-    quats = (1 - share) * here + share * there
-    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 
 
 def _rows(parts: list[array], width: int) -> Floats:

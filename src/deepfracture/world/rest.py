@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Floats
-from deepfracture.world.engine import Motion, rotation
+from deepfracture.world.engine import Motion
 
 SHIFT, TURN, REST_TIME = 0.03, 0.06, 0.5
 """A body that stays this close to where it was [m, rad] for this long has come to rest [s] ..."""
@@ -33,7 +34,7 @@ class Rest:
 
     def update(self, body: int, motion: Motion, centre: Floats, dt: float) -> bool:
         """Whether the body rests, `dt` after it was last asked about; `centre` of mass in its mesh frame."""
-        here, quat = motion.position + rotation(motion.quat_wxyz) @ centre, motion.quat_wxyz
+        here, quat = motion.position + rotation_matrix(motion.quat_wxyz) @ centre, motion.quat_wxyz
         rests = False
         for level, (shift, turn, patience) in enumerate(_LIMITS):
             anchor = self._anchors.get((body, level))

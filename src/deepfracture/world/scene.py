@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.runtime.files import replacing
 from deepfracture.runtime.suggest import meant
 from deepfracture.types import BadInput, Floats, Shape, Touch
-from deepfracture.world.engine import ENGINES, rotation
+from deepfracture.world.engine import ENGINES
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -244,7 +245,7 @@ def standing(
     repair: bool = False,
 ) -> Placed:
     """The shape, turned so, a millimetre above a floor at z = 0."""
-    lowest = (shape.mesh.vertices @ rotation(np.asarray(quat_wxyz, float)).T)[:, 2].min()
+    lowest = (shape.mesh.vertices @ rotation_matrix(np.asarray(quat_wxyz, float)).T)[:, 2].min()
     return Placed(name, material, (0.0, 0.0, float(-lowest) + 1e-3), quat_wxyz, repair=repair)
 
 
@@ -269,7 +270,7 @@ def throw_scene(
     downwards, at 15 to 25 m/s.
     """
     stands = standing(name, shape, material=material, quat_wxyz=quat_wxyz)
-    turn, place = rotation(np.asarray(quat_wxyz, float)), np.array(stands.position)
+    turn, place = rotation_matrix(np.asarray(quat_wxyz, float)), np.array(stands.position)
     if aim is None:
         aim = rng.uniform(-0.15, 0.15, 3) * np.ptp(shape.mesh.bounds, axis=0)
     if direction is None:

@@ -9,8 +9,9 @@ import numpy as np
 
 from deepfracture.geometry import mass_properties
 from deepfracture.geometry.convex.hulls import piece_hulls, whole_hulls
+from deepfracture.geometry.rotations import cross, rotation_matrix
 from deepfracture.types import BadInput, Floats, Fragment, Fragments, Impact, Ints, Material, Mesh, Shape
-from deepfracture.world.engine import Contact, Engine, Mass, Motion, Surface, cross, open_engine, rotation
+from deepfracture.world.engine import Contact, Engine, Mass, Motion, Surface, open_engine
 from deepfracture.world.footing import Footing
 from deepfracture.world.impulse import FLOOR_RADIUS, LEAST_CLOSING, Party, Push, impact_of, totals
 from deepfracture.world.pieces import HARDER, SAME_BLOW, SMALLEST_SHARE, as_shape
@@ -149,7 +150,7 @@ class Stage:
                 self._set_back(striker, share)
         whole = _between(hit.before, hit.after, share)
         self.remove(hit.body)
-        turn = rotation(whole.quat_wxyz)
+        turn = rotation_matrix(whole.quat_wxyz)
         hulls = piece_hulls([piece.mesh for piece in fragments])
         added = []
         for i, (piece, hull) in enumerate(zip(fragments, hulls, strict=True)):
@@ -185,7 +186,7 @@ class Stage:
         An engine may lose angular momentum in a contact, so what it made of the striker counts only where
         others have struck it too."""
         body, before = striker.body, striker.before
-        turn = rotation(before.quat_wxyz)
+        turn = rotation_matrix(before.quat_wxyz)
         kick = striker.impulse / body.mass.mass
         turned = turn @ np.linalg.solve(body.mass.inertia, turn.T @ striker.twist)
         velocity, spin = before.velocity + share * kick, before.spin + share * turned
@@ -350,7 +351,7 @@ class Stage:
         An engine's contacts say nothing of friction, so what they lack of the momentum and the spin that the body
         has got is shared by the size of the impulses. With one striker nothing is guessed."""
         each = totals(own, pushes, parties)
-        turn, middle = rotation(own.before.quat_wxyz), _centre(own.before, body)
+        turn, middle = rotation_matrix(own.before.quat_wxyz), _centre(own.before, body)
         sizes = {n: float(np.linalg.norm(impulse)) for n, impulse in each.items()}
         lack = own.gained - sum(each.values(), np.zeros(3))
         each = {n: impulse + lack * (sizes[n] / sum(sizes.values())) for n, impulse in each.items()}
@@ -410,7 +411,7 @@ def _speed_at(motion: Motion, body: Body, point: np.ndarray) -> np.ndarray:
 
 def _centre(motion: Motion, body: Body) -> Floats:
     """Centre of mass of a body in the world."""
-    return motion.position + rotation(motion.quat_wxyz) @ body.mass.centre
+    return motion.position + rotation_matrix(motion.quat_wxyz) @ body.mass.centre
 
 
 def _middle(contacts: list[Contact]) -> Floats:

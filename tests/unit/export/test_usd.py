@@ -10,7 +10,8 @@ import pytest
 
 from deepfracture.export import write_usd
 from deepfracture.export.names import body_names
-from deepfracture.recording.motion import break_frame, pivot_positions, pose, rotation_matrices
+from deepfracture.geometry.rotations import rotation_matrices
+from deepfracture.recording.motion import break_frame, pivot_positions, pose
 from deepfracture.types import BadInput, Grid, Rigid, Track
 from deepfracture.world import Block, Floor, Placed, Scene
 

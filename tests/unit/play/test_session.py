@@ -12,6 +12,7 @@ import pytest
 from deepfracture.cli.main import main
 from deepfracture.fracture import material
 from deepfracture.geometry import load_shape
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.play.aim import Obstacle, launch
 from deepfracture.play.library import Library, read_upload
 from deepfracture.play.look import plain_surfaces
@@ -20,7 +21,6 @@ from deepfracture.play.session import MOST_BALLS, Session, Setup, Shot
 from deepfracture.play.telling import Timing, breaker_html, readout_html
 from deepfracture.types import BadInput
 from deepfracture.world import load_scene, simulate
-from deepfracture.world.engine import rotation
 
 CUBE = """v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1
 f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"""
@@ -61,7 +61,7 @@ def finish(session, frames=240):
 def aim(session, kind):
     """A ray from the player to the middle of the first such body."""
     pose = next(pose for pose in session.at(session.frames - 1) if pose.kind == kind)
-    goal = pose.position + rotation(pose.quat_wxyz) @ pose.mesh.vertices.mean(axis=0)
+    goal = pose.position + rotation_matrix(pose.quat_wxyz) @ pose.mesh.vertices.mean(axis=0)
     return FRONT, goal - FRONT
 
 

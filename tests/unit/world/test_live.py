@@ -9,9 +9,9 @@ import pytest
 
 from deepfracture.fracture import material
 from deepfracture.geometry import builtin
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import BadInput
 from deepfracture.world import Ball, Floor, Live, Scene, load_scene, save_scene, simulate, standing
-from deepfracture.world.engine import rotation
 from deepfracture.world.stage import SINKING
 
 snapper = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "snap.py"))["snapper"]
@@ -145,7 +145,7 @@ def test_a_heavy_ball_presses_nothing_into_the_floor(engine):
     for track in pieces:
         corners = np.concatenate(track.rigid.hulls)
         lowest = [
-            (corners @ rotation(quat)[2]).min() + place[2]
+            (corners @ rotation_matrix(quat)[2]).min() + place[2]
             for quat, place in zip(track.quats_wxyz, track.positions, strict=True)
         ]
         assert min(lowest) > -1.001 * SINKING

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import BadInput, Mesh, Shape
 from deepfracture.world import (
     KINDS,
@@ -21,7 +22,6 @@ from deepfracture.world import (
     save_scene,
     throw_scene,
 )
-from deepfracture.world.engine import rotation
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "scenes").glob("*.toml"))
 
@@ -263,7 +263,7 @@ def test_the_shear_ball_comes_down_beside_an_edge() -> None:
         assert ball.velocity[0] == ball.velocity[1] == 0
         assert 0.03 <= ball.position[0] - edge <= 0.15
         assert ball.position[0] < second.position[0] - second.half_sides[0]
-        turned = shape.mesh.vertices @ rotation(np.array(scene.shapes[0].quat_wxyz)).T
+        turned = shape.mesh.vertices @ rotation_matrix(np.array(scene.shapes[0].quat_wxyz)).T
         assert np.ptp(turned[:, 0]) == pytest.approx(2.0)
         for block in scene.blocks:  # the shape lies on both
             assert block.position[2] + block.half_sides[2] == pytest.approx(turned[:, 2].min(), abs=1e-6)
