@@ -109,7 +109,7 @@ def collision_statistics(
         data: folder of meshes.
         reference: folder with fracturerb_volumes.json.
         out: folder of the data sets; run again to go on.
-        docs: folder for statistics.md, statistics.json and images/statistics/SHAPE.png.
+        docs: folder for reports/statistics.md, reports/statistics.json and images/statistics/SHAPE.png.
     """
     sets = [open_dataset(path) for path in datasets]
     for name in () if sets else shapes:
@@ -131,12 +131,13 @@ def collision_statistics(
     for collision in measured:
         _plot(collision, found[collision.name], paper, docs / "images" / "statistics" / f"{collision.name}.png")
     write_json(
-        docs / "statistics.json", {"shapes": found, "fracturerb": {k: mott_distance([v]) for k, v in paper.items()}}
+        docs / "reports" / "statistics.json",
+        {"shapes": found, "fracturerb": {k: mott_distance([v]) for k, v in paper.items()}},
     )
     text = report(found, paper, near, small, piece)
-    write_text(docs / "statistics.md", text)
+    write_text(docs / "reports" / "statistics.md", text)
     log.warning("%s", text)
-    return docs / "statistics.md"
+    return docs / "reports" / "statistics.md"
 
 
 def measure(dataset: Dataset, *, near: float, small: float, piece: float) -> Collisions:
@@ -253,7 +254,7 @@ def report(found: dict[str, dict[str, Any]], paper: dict[str, Floats], near: flo
         names = [(name, len(v), f"{mott_distance([v]):.2f}") for name, v in paper.items()]
         lines.append("The same distance for FractureRB (Hahn and Wojtan 2016), the simulator of the paper:")
         lines.append(table(("run", "fragments", "Mott: KS distance"), names).rstrip())
-    lines += [f"![{name}](images/statistics/{name}.png)" for name in found]
+    lines += [f"![{name}](../images/statistics/{name}.png)" for name in found]
     return "\n\n".join(lines) + "\n"
 
 

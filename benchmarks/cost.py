@@ -1,4 +1,4 @@
-"""What a hit costs against boundary elements, resolution and cracks: writes docs/performance.md and its pictures.
+"""What a hit costs against boundary elements, resolution and cracks: writes the report and its pictures.
 
     python benchmarks/cost.py ../shared/data/squirrel.obj
 
@@ -56,7 +56,7 @@ class Point:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Measure what a hit costs; write docs/performance.md.")
+    parser = argparse.ArgumentParser(description="Measure what a hit costs; write docs/reports/performance.md.")
     parser.add_argument("shape", nargs="?", default="pot", help="a mesh file, or a built-in shape")
     arguments = parser.parse_args()
     logging.basicConfig(format="%(message)s")
@@ -72,7 +72,8 @@ def main() -> None:
     _draw_sizes(resolutions, "voxels along an axis", ("distances", "fragments"), pictures / "resolution.png")
     _draw_cracks(scatter, pictures / "cracks.png")
     _write(
-        DOCS / "performance.md", _page(Path(arguments.shape).name, shape, load, rows, scatter, elements, resolutions)
+        DOCS / "reports" / "performance.md",
+        _page(Path(arguments.shape).name, shape, load, rows, scatter, elements, resolutions),
     )
 
 
@@ -217,7 +218,7 @@ def _page(
             "",
             *_rows_table(rows),
             "",
-            "![Seconds of each stage of a hit](images/bench/shares.png)",
+            "![Seconds of each stage of a hit](../images/bench/shares.png)",
             "",
             "Stages inside another stage count in both. Peak memory is that of the process so far.",
             "",
@@ -227,7 +228,7 @@ def _page(
             "",
             *_points_table(elements, ("elements", "assembly and factor", "elastic stage")),
             "",
-            "![Seconds against boundary elements](images/bench/elements.png)",
+            "![Seconds against boundary elements](../images/bench/elements.png)",
             "",
             "## Against resolution",
             "",
@@ -235,14 +236,14 @@ def _page(
             "",
             *_points_table(lattices, ("r", "distances", "fragments")),
             "",
-            "![Seconds against resolution](images/bench/resolution.png)",
+            "![Seconds against resolution](../images/bench/resolution.png)",
             "",
             "## Against cracks",
             "",
             f"{len(hits)} hits with balls of {FAST[0]:g} to {FAST[1]:g} m/s:",
             f"{rest:.2f} s, and {crack:.3f} s more for each crack.",
             "",
-            "![Seconds against cracks](images/bench/cracks.png)",
+            "![Seconds against cracks](../images/bench/cracks.png)",
             "",
         ]
     )

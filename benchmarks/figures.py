@@ -1,4 +1,4 @@
-"""The figures of docs/how.md: what happens between a blow and its fragments, drawn from our own data.
+"""The figures of "How it works": what happens between a blow and its fragments, drawn from our own data.
 
     python benchmarks/figures.py
 

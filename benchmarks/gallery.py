@@ -1,4 +1,4 @@
-"""The pictures of docs/gallery.md: shapes, materials and ways of breaking, by our own program and rasteriser.
+"""The pictures of docs/index.md: shapes, materials and ways of breaking, by our own program and rasteriser.
 
     python benchmarks/gallery.py            # what is not there yet
     python benchmarks/gallery.py --only bowl-glass --again

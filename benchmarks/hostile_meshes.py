@@ -1,7 +1,8 @@
 """What happens to meshes that nobody should send: broken correctly, mended and then broken, or refused with a reason.
 
 Each case is written to a file, loaded as it is and with repair, and broken by the Voronoi breaker on a coarse grid, in
-a process of its own that is stopped where it takes too long or too much memory. `docs/hostile.md` is the table."""
+a process of its own that is stopped where it takes too long or too much memory. docs/reports/hostile_meshes.md
+is the table."""
 
 from __future__ import annotations
 
@@ -219,7 +220,9 @@ def verdict(plain: Outcome, mended: Outcome) -> str:
     return "mended, then broken" if mended.kind == "broken" else "refused"
 
 
-def run(out: Path = ROOT / "docs" / "hostile.md", only: str = "", log_to: Path | None = None) -> None:
+def run(
+    out: Path = ROOT / "docs" / "reports" / "hostile_meshes.md", only: str = "", log_to: Path | None = None
+) -> None:
     """Judge every case and write the table.
 
     Args:

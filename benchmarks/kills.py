@@ -1,6 +1,6 @@
 """kill -9 at random moments of simulate, train, shatter --out and what play saves: is anything lost, is anything left?
 
-    python benchmarks/kills.py --kills 100 --text docs/lost_kills.md
+    python benchmarks/kills.py --kills 100 --text docs/reports/kills.md
 
 Each command is run undisturbed once. Then it is killed again and again, each time at a moment drawn evenly from the
 time that it took, every second time with all its processes, else its first process alone. After each kill

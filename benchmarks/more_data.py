@@ -1,8 +1,8 @@
 """What more learning data is worth: held-out score against the number of training patterns.
 
-The network remembers its patterns nearly perfectly (docs/evaluation.md: `learned` and `no network` score alike), so the
-choice among stored patterns is measured, with random codes in place of learnt ones, beside the nearest pattern. The
-first patterns of the training set stand for a smaller one.
+The network remembers its patterns nearly perfectly: `learned` and `no network` score alike in
+docs/reports/evaluation.md. So the choice among stored patterns is measured, with random codes in place of learnt ones,
+beside the nearest pattern. The first patterns of the training set stand for a smaller one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the time of the three slowest things goes, by function; writes docs/profiles.md.
+"""Where the time of the three slowest things goes, by function; writes docs/reports/profiles.md.
 
 python benchmarks/profiles.py --shape pot
 """
@@ -30,7 +30,7 @@ TOP = 8
 HEAD = ("function", "calls", "own seconds", "share")
 
 
-def profiles(shape: str = "pot", resolution: int = 128, out: Path = ROOT / "docs" / "profiles.md") -> None:
+def profiles(shape: str = "pot", resolution: int = 128, out: Path = ROOT / "docs" / "reports" / "profiles.md") -> None:
     """Profile the set-up of a body, physical hits, and a scene with a break, by processor time.
 
     Args:

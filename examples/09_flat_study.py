@@ -4,7 +4,7 @@
 
 Hits of a plate become pictures: labels numbered at random or by place (dice loss), crack lines (binary
 cross-entropy), or the unsigned distance to the nearest crack or side (L2). Predictions are turned back into fragments
-and compared with held-out patterns. docs/flat_study.md says what came out.
+and compared with held-out patterns. docs/reports/flat_study.md says what came out.
 """
 
 from __future__ import annotations

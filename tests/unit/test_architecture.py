@@ -1,4 +1,4 @@
-"""The import arrows of docs/architecture.md, read from the code."""
+"""The import arrows of docs/explanation/architecture.md, read from the code."""
 
 import ast
 import subprocess

@@ -21,7 +21,7 @@ def export_onnx(name: str, *, out: Path) -> None:
     with stage(f"write {out.name}"):
         size = export(model, out)
     log.info(
-        "%s: %s at r = %d, %d codes, up to %d fragments, %.1f MB; how to use it: docs/onnx.md",
+        "%s: %s at r = %d, %d codes, up to %d fragments, %.1f MB; how to use it: docs/reference/onnx.md",
         out, model.shape_name, model.body.grid.resolution, len(model.choice.rows), model.channels, size / 1e6,
     )  # fmt: skip
 

@@ -145,7 +145,7 @@ def test_statistics_find_what_rises_with_the_impulse(tmp_path: Path) -> None:
     assert about["small_rises"]["rho"] > 0.6
     assert about["shattered_rises"]["rho"] > 0.6
     assert (tmp_path / "images" / "statistics" / "bar.png").stat().st_size > 5000
-    assert "| bar | 12 |" in (tmp_path / "statistics.md").read_text()
+    assert "| bar | 12 |" in (tmp_path / "reports" / "statistics.md").read_text()
 
 
 def test_mott_distance_knows_motts_own_distribution() -> None:

@@ -131,5 +131,5 @@ def test_the_site_builds_strictly_and_fetches_nothing(tmp_path: Path) -> None:
         for tag in re.findall(r"<(?:script|link|img)\b[^>]*>", page.read_text(encoding="utf-8")):
             source = re.search(r"(?:src|href)=\"?(https?:[^\"\s>]+)", tag)
             assert source is None or "canonical" in tag, f"{page.name} fetches {source and source[1]}"
-    reference = (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    reference = (tmp_path / "site" / "reference" / "api.html").read_text(encoding="utf-8")
     assert all(f"deepfracture.api.{name}" in reference for name in df._HOMES["api"])

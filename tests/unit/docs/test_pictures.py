@@ -51,7 +51,7 @@ def test_the_figures_are_drawn_and_known_to_the_page(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
     from figures import FIGURES, figures
 
-    page = (ROOT / "docs" / "how.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "explanation" / "how_it_works.md").read_text(encoding="utf-8")
     assert all(f"images/how/{name}.png" in page for name in FIGURES)
     for path in figures(("learned", "impulses"), resolution=32, dpi=40, view=(60, 50), out=tmp_path):
         with Image.open(path) as picture:

@@ -31,7 +31,7 @@ def shows_something(path: Path) -> bool:
 def test_numbers_run_without_a_gap_and_every_example_is_told_of() -> None:
     numbered = sorted(path.name for path in EXAMPLES.glob("[0-9]*.py"))
     assert [name[:2] for name in numbered] == [f"{k:02d}" for k in range(1, len(numbered) + 1)]
-    page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    page = (EXAMPLES.parent / "docs" / "guide" / "examples.md").read_text(encoding="utf-8")
     assert all(f"`{name}`" in page for name in (*numbered, "film.py"))
 
 

@@ -146,7 +146,7 @@ def test_without_the_library_it_is_one_line(model: Model, tmp_path: Path, monkey
 def test_the_lines_of_the_documentation_finish_the_job(model: Model, session) -> None:
     import re
 
-    text = (Path(__file__).parents[3] / "docs" / "onnx.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "onnx.md").read_text()
     lines = "\n".join(block for block in re.findall(r"```python\n(.*?)```", text, re.S) if block.startswith("def "))
     made: dict = {"np": np}
     exec(lines, made)

@@ -1,7 +1,7 @@
 """A trained model as an ONNX graph: from an impulse to the fragment that each voxel belongs to, by any runtime.
 
 In the graph are the normaliser, the sine layer, the choice of the code, the decoder, and the splines up to the greatest
-channel of each voxel. docs/onnx.md says what is left to do outside, step by step, and what the inputs and outputs hold.
+channel of each voxel. docs/reference/onnx.md describes the inputs, the outputs and the steps that remain outside.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def export_onnx(model: Model, path: Path) -> int:
 
 
 def onnx_graph(model: Model) -> ModelProto:
-    """The graph, checked by onnx itself; docs/onnx.md describes inputs and outputs."""
+    """The graph, checked by onnx itself; docs/reference/onnx.md describes inputs and outputs."""
     need("onnx", extra="onnx", to="export a model to ONNX")
     from onnx import TensorProto, checker, helper
 
