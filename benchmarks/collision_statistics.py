@@ -31,7 +31,7 @@ from common import DATA, REFERENCE, ROOT, SPEEDS, fragment_volumes, shape_named,
 
 from deepfracture.dataset import Dataset, Local, Sample, open_dataset, simulate_collisions
 from deepfracture.fracture import material
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats
 
@@ -288,7 +288,7 @@ def _plot(collisions: Collisions, about: dict[str, Any], paper: dict[str, Floats
     right.set(xscale="log", yscale="log", ylim=(2e-3, 1.3), xlabel="V / V_mean", ylabel="share of fragments larger")
     right.legend(frameon=False, fontsize=8)
     figure.suptitle(collisions.name)
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary, dpi=110)
 
 

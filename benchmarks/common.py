@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepfracture.geometry import load_shape
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, FracturePattern, Impact, Ints, Material, Shape
 from deepfracture.world import first_impact, learning_scene
@@ -89,7 +89,7 @@ def write_json(path: Path, value: Any) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write `text` whole or not at all."""
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

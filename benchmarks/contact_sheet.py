@@ -18,7 +18,7 @@ from deepfracture.carve import cut
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import mass_properties
 from deepfracture.render.picture import exploded
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Fragment, Fragments, Grid, Impact, Shape
 
@@ -158,7 +158,7 @@ def grid_of(rows: list[list[tuple[Path, str]]], size: tuple[int, int]) -> Image.
 
 def save(sheet: Image.Image, path: Path) -> None:
     """A PNG below `MOST_BYTES`: with as many colours as fit."""
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         sheet.save(temporary, format="PNG", optimize=True)
         for colours in COLOURS:
             if temporary.stat().st_size <= MOST_BYTES:

@@ -18,7 +18,7 @@ from common import ROOT, start, table, write_json, write_text
 from deepfracture.compare import MEASURES
 from deepfracture.evaluate import Evaluation, Interval, Summary, load_evaluation, score_samples, summarise
 from deepfracture.evaluate.plots import COLOURS, INK
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats
 
 BASELINE = "nearest"
@@ -115,7 +115,7 @@ def plot(summaries: Mapping[str, Mapping[str, Summary]], found: Mapping[str, Int
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.legend(frameon=False, fontsize=8)
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary, dpi=110)
 
 

@@ -26,7 +26,7 @@ from deepfracture.geometry import signed_distance
 from deepfracture.learn import Model, embedded_model, load_model, predict
 from deepfracture.learn.partition import network
 from deepfracture.render.picture import exploded
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 from deepfracture.types import Floats, Fragments, Grid, Impact, Shape, Volume
 
@@ -67,7 +67,7 @@ def figures(
     for name in only or FIGURES:
         figure = FIGURES[name](shape, resolution, view)
         path = out / f"{name}.png"
-        with replacing(path) as temporary:
+        with atomic_file(path) as temporary:
             figure.savefig(temporary, format="png", dpi=dpi)
         _fewer_colours(path)
         log.warning("%s: %.0f kB", path.name, path.stat().st_size / 1e3)
@@ -251,7 +251,7 @@ def _fewer_colours(path: Path) -> None:
 
     with Image.open(path) as picture:
         small = picture.convert("RGB").quantize(255, dither=Image.Dither.NONE)
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         small.save(temporary, format="PNG", optimize=True)
 
 

@@ -33,7 +33,7 @@ from deepfracture.fracture import material
 from deepfracture.geometry import BUILTIN, load_shape, signed_distance
 from deepfracture.geometry.untangle import crossing_faces
 from deepfracture.learn import Model, embedded_model, load_model, predict
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Ints, Shape, Volume
 from deepfracture.validation.fragments import FragmentReport, check_fragments
@@ -272,7 +272,7 @@ def check_field(source: Source, kind: str, number: int, seed: int, folder: Path)
         reason = f"{type(crash).__name__}: {(str(crash).splitlines() or [''])[0]}"
         row |= {"failures": {"crash": 1}, "crash": reason, "traceback": traceback.format_exc()}
     if row["failures"]:
-        with replacing(folder / f"{kind}-{number:03d}.npz") as temporary:
+        with atomic_file(folder / f"{kind}-{number:03d}.npz") as temporary:
             np.savez_compressed(temporary, labels=pattern.labels, distance=pattern.distance)
     return row
 

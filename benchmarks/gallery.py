@@ -23,7 +23,7 @@ from deepfracture.recording.motion import break_frame, exists, pose
 from deepfracture.render.camera import Camera, frame_points
 from deepfracture.render.picture import exploded
 from deepfracture.render.studio import RecordingStudio
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import Appearance, Finish, Floats, Recording, Shape
 
@@ -177,7 +177,7 @@ def _camera(recording: Recording, frame: int, aspect: float) -> Camera:
 def save_jpeg(picture: NDArray[np.uint8], path: Path) -> None:
     from PIL import Image
 
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         Image.fromarray(picture).save(temporary, format="JPEG", quality=QUALITY, optimize=True, progressive=True)
 
 

@@ -23,7 +23,7 @@ from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
 from deepfracture.learn import Normaliser
 from deepfracture.learn.partition.selector import Choice, fit, mean_distance
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
 from deepfracture.types import BadInput, FracturePattern, Impact, Shape
 
@@ -122,7 +122,7 @@ def plot(sizes: Sequence[int], found: dict[str, Interval], path: Path) -> None:
     axes.set(xlabel="training patterns", ylabel="score (mean of 8 measures)", xscale="log")
     axes.set_xticks(sizes, [str(size) for size in sizes])
     axes.legend()
-    with replacing(path) as scratch:
+    with atomic_file(path) as scratch:
         figure.savefig(scratch, format="png", dpi=130)
 
 

@@ -17,7 +17,7 @@ from common import start, table, write_text
 from deepfracture.learn import Model, embedded_model, load_model, predict
 from deepfracture.learn.partition import network
 from deepfracture.learn.partition.onnx import export_onnx, spline_matrix
-from deepfracture.runtime.extras import need
+from deepfracture.runtime.extras import require
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Impact
 
@@ -46,7 +46,7 @@ def random_hit(model: Model, rng: np.random.Generator) -> Impact:
 
 def torch_labels(model: Model) -> Callable[[int], Any]:
     """The graph's decoder in torch: from the number of a code to the labels."""
-    torch = need("torch", extra="train", to="compare with torch")
+    torch = require("torch", extra="train", to="compare with torch")
     lattice, channels = model.body.lattice, model.channels
     side, r = lattice.number.shape[0], model.body.grid.resolution
     weights = {name: torch.from_numpy(value) for name, value in model.weights.items()}
@@ -68,7 +68,7 @@ def torch_labels(model: Model) -> Callable[[int], Any]:
 
 def measured(name: str, runs: int, folder: Path) -> list[object]:
     """One row of the table."""
-    ort = need("onnxruntime", extra="onnx", to="run the exported graph")
+    ort = require("onnxruntime", extra="onnx", to="run the exported graph")
     path = embedded_model(name)
     if path is None:
         raise BadInput(f"{name}: no model of this shape ships")

@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from common import ROOT, start, table, write_text
 
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput
 
 
@@ -81,7 +81,7 @@ def plot(curves: dict[str, list[dict[str, float]]], sizes: dict[str, float], pat
     right.set(xlabel="training [s]", ylabel="memory above its ceiling [bits]", ylim=(0, None))
     right.axhline(0.15, color="0.6", linewidth=0.8)
     right.legend(fontsize=8)
-    with replacing(path) as scratch:
+    with atomic_file(path) as scratch:
         figure.savefig(scratch, format="png", dpi=130)
 
 

@@ -22,7 +22,7 @@ from deepfracture.fracture import material
 from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.learn import embedded_model
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats, Fragments, Grid, Material, Shape
 from deepfracture.world import ENGINES, Scene, first_impact, learning_scene
 from deepfracture.world.engine import Mass, Motion, Surface, open_engine
@@ -272,7 +272,7 @@ def plot(one: Break, made_of: Material, engines: list[str], path: Path) -> None:
     axes[2].axhline(1, color="0.6", linewidth=0.8, linestyle=":")
     axes[0].legend()
     figure.suptitle(f"{one.shape.name}: {len(one.fragments)} fragments ({one.breaker}) put in at 0 ms", fontsize=10)
-    with replacing(path) as scratch:
+    with atomic_file(path) as scratch:
         figure.savefig(scratch, format="png", dpi=120)
 
 

@@ -17,7 +17,7 @@ from starting import start
 from tyro.conf import Positional
 
 import deepfracture as df
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 
 MILLIMETRES = 95.0
@@ -77,7 +77,7 @@ def damaged_mug(path: Path) -> Path:
     faces = np.delete(faces, slice(1000, 1020), axis=0)
     lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in corners]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 

@@ -24,7 +24,7 @@ from deepfracture.recording.motion import break_frame, exists, pose
 from deepfracture.render import write_film
 from deepfracture.render.camera import frame_points
 from deepfracture.render.studio import RecordingStudio
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Appearance, BadInput, Finish, Floats, Grid, Ints, Recording, Shape
 from deepfracture.world import Ball, Floor, Placed, Scene, simulate
@@ -160,7 +160,7 @@ def strip(recording: Recording, path: Path, size: tuple[int, int]) -> None:
     studio = RecordingStudio(recording, camera, size=size, samples=3, taps=64)
     gap = np.full((size[1], GAP, 3), 255, np.uint8)
     row = [piece for frame in frames for piece in (studio.picture(int(frame)), gap)][:-1]
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         Image.fromarray(np.concatenate(row, axis=1)).save(temporary, format="PNG", optimize=True)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from starting import start
 
 import deepfracture as df
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import Floats
 
@@ -53,7 +53,7 @@ def many_shots(
         volumes += shares if fragments else []
     if not volumes:
         raise df.BadInput(f"none of {shots} shots broke {shape}; raise --impulse")
-    with replacing(out / "shots.csv") as temporary:
+    with atomic_file(out / "shots.csv") as temporary:
         temporary.write_text(as_csv(rows), encoding="utf-8")
     draw(rows, np.array(volumes), f"{body.name}, {breaker}, {shots} shots", out / "shots.png")
     counts = np.array([row[5] for row in rows])
@@ -89,7 +89,7 @@ def draw(rows: list[tuple], volumes: Floats, title: str, path: Path) -> None:
     middle.set(xlabel="impulse [N s]", ylabel="largest fragment, share of the volume", ylim=(0, 1.03))
     right.hist(volumes, bins=np.geomspace(volumes.min(), 1, 24).tolist(), color="#c9a27e")
     right.set(xlabel="share of the volume", ylabel="fragments of all shots", xscale="log")
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary, format="png", dpi=100)
 
 

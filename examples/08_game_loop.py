@@ -19,7 +19,7 @@ import numpy as np
 from starting import start
 
 import deepfracture as df
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import collect_stages, log
 
 FRAME = 1 / 60
@@ -106,7 +106,7 @@ def write(shots: list[Shot], out: Path) -> None:
         cells = " ".join(f"{shot.milliseconds[name]:8.1f}" for name in (*STAGES, "all"))
         lines.append(f"{shot.impulse:6.0f} {shot.fragments:6d} {cells}     {shot.frames:6d}")
     log.info("%s", "\n".join(lines))
-    with replacing(out / "times.txt") as temporary:
+    with atomic_file(out / "times.txt") as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     figure = Figure(figsize=(8, 3), layout="constrained")
     axes = figure.subplots()
@@ -118,7 +118,7 @@ def write(shots: list[Shot], out: Path) -> None:
     axes.axhline(1000 * FRAME, color="black", lw=0.8, ls="--", label="one frame")
     axes.set(xlabel="shot", ylabel="milliseconds")
     axes.legend(ncols=4, fontsize=8)
-    with replacing(out / "times.png") as temporary:
+    with atomic_file(out / "times.png") as temporary:
         figure.savefig(temporary, format="png", dpi=100)
 
 

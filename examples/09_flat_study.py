@@ -24,7 +24,7 @@ from scipy.optimize import linear_sum_assignment
 
 from deepfracture.carve import segment
 from deepfracture.compare import variation_of_information
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, Floats, Grid, Labels, Volume
 
@@ -97,7 +97,7 @@ def flat_study(
             shown[way] = found[:COLUMNS]
             truth = data.held[:COLUMNS], data.held_hits[:COLUMNS]
     result = {"summary": _summary(runs), "seeds": runs}
-    with replacing(out / "flat_study.json") as path:
+    with atomic_file(out / "flat_study.json") as path:
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     _draw(out / "flat_study.png", *truth, shown, result["summary"])
 
@@ -290,7 +290,7 @@ def _draw(path: Path, truth: list[Plate], hits: Floats, shown: dict[str, list[La
         axis.invert_yaxis()
         axis.set(xlim=(0, None))
         axis.set_title(f"{title}, held-out hits", fontsize=9)
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary)
 
 

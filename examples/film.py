@@ -23,7 +23,7 @@ from deepfracture.recording.motion import break_frame
 from deepfracture.render.camera import frame_action
 from deepfracture.render.film import FILM_RATE, in_threads, write_pictures
 from deepfracture.render.studio import RecordingStudio
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Appearance, Finish, Ints, Recording, Shape
 
@@ -156,7 +156,7 @@ def drawn(
     for number, picture in enumerate(in_threads(studio.picture, [int(frame) for frame in frames])):
         titled = captioned(picture, shot.caption)
         if number == kept:
-            with replacing(still) as temporary:
+            with atomic_file(still) as temporary:
                 Image.fromarray(titled).save(temporary, format="JPEG", quality=86, optimize=True)
         yield titled
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from deepfracture.render import exploded
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import Fragments, Shape
 
 INK, PAPER = (40, 40, 40), (255, 255, 255)
@@ -42,5 +42,5 @@ def panel(views: Sequence[tuple[NDArray[np.uint8], str]], path: Path, *, columns
         left, top = k % columns * (width + GAP), k // columns * (height + LINE)
         sheet.paste(Image.fromarray(picture), (left, top))
         draw.text((left + 8, top + height + 5), caption, fill=INK, font_size=13)
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         sheet.save(temporary, format="PNG", optimize=True)

@@ -32,7 +32,7 @@ from deepfracture.breakers import AGAIN, make_breaker
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset_material
 from deepfracture.geometry import closest, load_shape
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Breaker, Floats, Fragments, Grid, Impact, Material, Recording, Shape
 from deepfracture.world import UPRIGHT, Collision, Outcome, Scene, save_scene
 from deepfracture.world import simulate as run_world
@@ -527,7 +527,7 @@ def trained(
         raise BadInput(f"width {width:g}: only for the presets {', '.join(published.PRESETS)}; leave it out")
     if not ours and preset not in published.PRESETS:
         known = (OURS, *published.PRESETS)
-        raise BadInput(f"preset must be one of {', '.join(known)}, got {preset!r}{meant(preset, known)}")
+        raise BadInput(f"preset must be one of {', '.join(known)}, got {preset!r}{did_you_mean(preset, known)}")
     if epochs is None and minutes is None:
         epochs = EPOCHS[ours]
     data = dataset if isinstance(dataset, Dataset) else open_dataset(Path(dataset))

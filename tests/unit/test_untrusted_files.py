@@ -33,7 +33,7 @@ from deepfracture.learn import embedded_model, load_model
 from deepfracture.learn.checkpoint import KEY, read
 from deepfracture.learn.published import kind_of
 from deepfracture.play.library import read_upload
-from deepfracture.runtime.files import FORMER, LOCK, NEW, PREFIX, filling, replacing_folder, sweep
+from deepfracture.runtime.files import FORMER, LOCK, NEW, PREFIX, atomic_contents, atomic_folder, remove_stale
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 from deepfracture.world import load_scene
@@ -197,11 +197,11 @@ def test_results_do_not_go_through_links(tmp_path: Path) -> None:
     (out / "animation.glb").symlink_to(dear / "file")
     (out / "fragments").symlink_to(dear)
     (out / "lost").symlink_to(tmp_path / "nowhere")
-    with filling(out, last="report.json") as folder:
+    with atomic_contents(out, last="report.json") as folder:
         for name in ("animation.glb", "report.json"):
             (folder / name).write_text("new")
         for name in ("fragments", "lost"):
-            with replacing_folder(folder / name) as inner:
+            with atomic_folder(folder / name) as inner:
                 (inner / "file").write_text("new")
     assert (dear / "file").read_text() == "dear" and [path.name for path in dear.iterdir()] == ["file"]
     assert (out / "fragments" / "file").read_text() == (out / "lost" / "file").read_text() == "new"
@@ -340,6 +340,6 @@ def test_sweeping_follows_no_link_out_of_the_folder(tmp_path: Path) -> None:
     (left / LOCK).touch()
     for name in (NEW, FORMER):
         (left / name).symlink_to(elsewhere)
-    sweep(given)
+    remove_stale(given)
     assert (elsewhere / "letter.txt").read_text() == "mine"
     assert not (given / "letter.txt").exists()

@@ -11,7 +11,7 @@ from deepfracture.bench.learn import bench_learn
 from deepfracture.bench.record import comparison, keep, last, stamp
 from deepfracture.bench.rows import Row, table
 from deepfracture.bench.world import bench_world
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Shape
 
 __all__ = ["BENCHES", "Row", "bench", "comparison", "keep", "last", "stamp", "table"]
@@ -33,6 +33,6 @@ def bench(room: str, shape: Shape, resolution: int, model: Path | None = None) -
         return [row for each in BENCHES.values() for row in each(shape, resolution, model)]
     if room not in BENCHES:
         raise BadInput(
-            f"bench {room!r}: unknown; choose one of {', '.join(BENCHES)} or all{meant(room, (*BENCHES, 'all'))}"
+            f"bench {room!r}: unknown; choose one of {', '.join(BENCHES)} or all{did_you_mean(room, (*BENCHES, 'all'))}"
         )
     return BENCHES[room](shape, resolution, model)

@@ -19,7 +19,7 @@ from deepfracture.fracture import material
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import Model, embedded_model, load_model, predict
 from deepfracture.runtime.memory import peak_mb
-from deepfracture.runtime.progress import Stopwatch, collect_stages, log
+from deepfracture.runtime.progress import StageTimer, collect_stages, log
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Impact, Shape, Volume
 
 HITS = 24
@@ -91,7 +91,7 @@ def _predicted(shape: Shape, resolution: int, path: Path) -> _Field:
         raise BadInput(f"{path}: trained on {own.shape_name}, not on {shape.name}; give a model of this shape")
     hits = random_hits(shape, material("plaster"), HITS, speeds=SPEEDS)
     chosen = min(hits, key=lambda hit: abs(segment(_draw(own, hit)).count - FRAGMENTS))
-    watch = Stopwatch()
+    watch = StageTimer()
     with watch("prepare, once a shape"):
         model = own.at(shape, resolution)
     make = partial(_draw, model, chosen)
@@ -122,7 +122,7 @@ def _reference_rows(shape: Shape, volume: Volume) -> list[Row]:
 
 
 def _reference_run(shape: Shape, volume: Volume) -> dict[str, float]:
-    watch = Stopwatch()
+    watch = StageTimer()
     with watch("reference / segment"):
         labels = reference_labels(volume)
     with watch("reference / surfaces"):

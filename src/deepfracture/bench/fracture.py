@@ -12,7 +12,7 @@ import numpy as np
 from deepfracture.bench.hits import random_hits
 from deepfracture.bench.rows import RUNS, WHOLE, Row, median_seconds, seconds, stage_totals
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
-from deepfracture.runtime.files import scratch
+from deepfracture.runtime.files import scratch_folder
 from deepfracture.runtime.memory import peak_mb
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import Grid, Impact, Shape
@@ -97,7 +97,7 @@ def _median(values: Iterator[float]) -> float:
 def empty_cache() -> Iterator[None]:
     """A folder of its own for what is kept between runs, so that nothing is found there."""
     before = os.environ.get("XDG_CACHE_HOME")
-    with scratch() as folder:
+    with scratch_folder() as folder:
         os.environ["XDG_CACHE_HOME"] = str(folder)
         try:
             yield

@@ -49,10 +49,10 @@ def processor() -> str:
 
 def keep(rows: Sequence[Row], folder: Path, made: dict[str, Any]) -> Path:
     """Write the rows with their stamp into a file of their own in `folder`; its path."""
-    from deepfracture.runtime.files import replacing
+    from deepfracture.runtime.files import atomic_file
 
     path = folder / f"bench-{made['date'].replace(':', '').replace('+0000', 'Z')}.json"
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(
             json.dumps({"machine": made, "rows": [asdict(row) for row in rows]}, indent=1) + "\n", encoding="utf-8"
         )

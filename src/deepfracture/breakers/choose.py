@@ -11,7 +11,7 @@ import numpy as np
 
 from deepfracture.breakers.base import PatternBreaker, PatternSource
 from deepfracture.runtime.progress import log
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape, Volume
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def make_source(
                 f"make some: deepfracture simulate {shape.name} --out data"
             )
         return Nearest(memory) if name == "nearest" else Random(memory)
-    raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}{meant(name, BREAKERS)}")
+    raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}{did_you_mean(name, BREAKERS)}")
 
 
 def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSource:

@@ -18,7 +18,7 @@ def bench(
     from deepfracture.bench import bench as run
     from deepfracture.bench import comparison, keep, last, stamp, table
     from deepfracture.geometry import load_shape
-    from deepfracture.runtime.files import replacing
+    from deepfracture.runtime.files import atomic_file
 
     made = stamp()
     before = None if record is None else last(record, made)  # complains before the minutes that follow
@@ -30,7 +30,7 @@ def bench(
         log.setLevel(level)
     log.info("%s", table(rows))
     if json_file is not None:
-        with replacing(json_file) as temporary:
+        with atomic_file(json_file) as temporary:
             temporary.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
     if record is not None:
         log.info("\n%s", comparison(rows, before) if before else "the first measurement on such a machine")

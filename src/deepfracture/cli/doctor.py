@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import deepfracture
-from deepfracture.runtime.extras import has, pip_line
-from deepfracture.runtime.files import scratch
+from deepfracture.runtime.extras import is_installed, pip_command
+from deepfracture.runtime.files import scratch_folder
 
 BASE = ("numpy", "scipy", "numba", "manifold3d", "rapier3d", "trimesh", "pillow")
 """Distributions whose versions matter when something goes wrong."""
@@ -134,10 +134,10 @@ def parts() -> tuple[Part, ...]:
 
 def examine(part: Part) -> Finding:
     """Import a part and use it."""
-    if part.never and not has(part.module):
+    if part.never and not is_installed(part.module):
         return Finding(part, "missing", part.never)
-    if not has(part.module):
-        return Finding(part, "missing", pip_line(part.extra) if part.extra else "install deepfracture again")
+    if not is_installed(part.module):
+        return Finding(part, "missing", pip_command(part.extra) if part.extra else "install deepfracture again")
     try:
         return Finding(part, "works", part.use())
     except Exception as error:  # whatever a foreign library raises is what is to be told
@@ -157,7 +157,7 @@ def advice(findings: list[Finding]) -> str:
     if not wanted:
         return "everything that can work here does"
     again = " --force-reinstall" if any(finding.state == "broken" for finding in findings) else ""
-    return f"all that is missing: {pip_line(*dict.fromkeys(wanted))}{again}"
+    return f"all that is missing: {pip_command(*dict.fromkeys(wanted))}{again}"
 
 
 def outside() -> Iterator[str]:
@@ -229,7 +229,7 @@ def _page() -> str:
 def _film() -> str:
     import imageio_ffmpeg
 
-    with scratch() as folder:
+    with scratch_folder() as folder:
         path = folder / "film.mp4"
         writer = imageio_ffmpeg.write_frames(str(path), (64, 64), fps=30, codec="libx264", ffmpeg_log_level="error")
         writer.send(None)
@@ -251,7 +251,7 @@ def _usd() -> str:
 
 def _store() -> str:
     zarr = import_module("zarr")
-    with scratch() as folder:
+    with scratch_folder() as folder:
         group = zarr.open_group(folder, mode="w")
         array = group.create_array("numbers", shape=(4,), dtype="f4")
         array[...] = np.arange(4)

@@ -10,7 +10,7 @@ from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import evaluate as run
 from deepfracture.evaluate import refuse_overlap, write_report
 from deepfracture.evaluate.report import score_table
-from deepfracture.runtime.extras import need
+from deepfracture.runtime.extras import require
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Grid
 
@@ -20,7 +20,7 @@ def evaluate(
     draws: int, seed: int,
 ) -> None:  # fmt: skip
     """Measure breakers and models on the held-out collisions in the folder `held`; tables and plots go to `out`."""
-    need("matplotlib", extra="plots", to="draw the plots of an evaluation")
+    require("matplotlib", extra="plots", to="draw the plots of an evaluation")
     unseen = open_dataset(held)
     sources = _sources(unseen, dataset, model, breakers, ablation=ablation)
     level = log.level

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from deepfracture.export import write_fragments, write_glb, write_sequence, write_usd
 from deepfracture.render import before_hit_after, write_film
-from deepfracture.runtime.extras import left_out, need
+from deepfracture.runtime.extras import require, skip_unless_installed
 from deepfracture.runtime.progress import stage
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 from deepfracture.viewer import write_page
 from deepfracture.world import Outcome, Scene
@@ -64,10 +64,10 @@ def check_formats(names: Sequence[str]) -> None:
     """Raise BadInput, before any work is done, for a format that is unknown or whose library is missing."""
     for name in names:
         if name not in FORMATS:
-            raise BadInput(f"--formats must be some of {', '.join(FORMATS)}, got {name!r}{meant(name, FORMATS)}")
+            raise BadInput(f"--formats must be some of {', '.join(FORMATS)}, got {name!r}{did_you_mean(name, FORMATS)}")
         wanted = FORMATS[name]
         if wanted.library:
-            need(wanted.library, extra=wanted.extra, to=f"write {wanted.file}")
+            require(wanted.library, extra=wanted.extra, to=f"write {wanted.file}")
 
 
 def write_formats(
@@ -81,7 +81,7 @@ def write_formats(
         wanted = FORMATS[name]
         if name == "film" and not film:
             continue
-        if names is None and wanted.library and left_out(wanted.file, wanted.library, extra=wanted.extra):
+        if names is None and wanted.library and skip_unless_installed(wanted.file, wanted.library, extra=wanted.extra):
             continue
         with stage(f"write {wanted.file}"):
             files += wanted.write(outcome, scene, out / wanted.file) or [wanted.file]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
@@ -68,4 +68,6 @@ def check_command(words: Sequence[str], commands: Sequence[str]) -> None:
     """Raises BadInput when the first of `words` is neither an option nor a command."""
     if not words or words[0].startswith("-") or words[0].replace("_", "-") in commands:
         return
-    raise BadInput(f"no command is called {words[0]!r}; there are {', '.join(commands)}{meant(words[0], commands)}")
+    raise BadInput(
+        f"no command is called {words[0]!r}; there are {', '.join(commands)}{did_you_mean(words[0], commands)}"
+    )

@@ -14,9 +14,9 @@ from tyro.conf import Positional
 
 from deepfracture.cli.help import asks_for_help, check_command, closing
 from deepfracture.cli.manner import Manner, profiled, set_logging, split_manner
-from deepfracture.runtime.files import advice
+from deepfracture.runtime.files import explain_write_error
 from deepfracture.runtime.progress import log
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, NoSolution
 
 NAME = "deepfracture"
@@ -384,7 +384,7 @@ def completion(shell: Annotated[Positional[str], tyro.conf.arg(metavar="SHELL")]
         shell: bash, zsh, fish or tcsh.
     """
     if shell not in SHELLS:
-        raise BadInput(f"shell must be one of {', '.join(SHELLS)}, got {shell!r}{meant(shell, SHELLS)}")
+        raise BadInput(f"shell must be one of {', '.join(SHELLS)}, got {shell!r}{did_you_mean(shell, SHELLS)}")
     app.cli(prog=NAME, args=["--tyro-print-completion", shell])
 
 
@@ -407,7 +407,7 @@ def main(args: Sequence[str] | None = None) -> None:
         sys.stderr.write(f"{NAME}: {problem}\n")
         sys.exit(problem.status)
     except OSError as problem:
-        line = advice(problem)
+        line = explain_write_error(problem)
         if line is None:
             raise
         sys.stderr.write(f"{NAME}: {line}\n")

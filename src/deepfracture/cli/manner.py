@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from deepfracture.runtime.progress import Stage, collect_stages, hush, log
+from deepfracture.runtime.progress import Stage, collect_stages, disable_progress, log
 from deepfracture.types import BadInput
 
 
@@ -64,7 +64,7 @@ def set_logging(manner: Manner) -> None:
     form = "%(asctime)s %(levelname)-7s %(message)s" if manner.verbose else "%(message)s"
     logging.basicConfig(level=logging.WARNING, format=form, datefmt="%H:%M:%S", handlers=[_Stderr()])
     log.setLevel(logging.WARNING if manner.quiet else logging.DEBUG if manner.verbose else logging.INFO)
-    hush(manner.quiet)
+    disable_progress(manner.quiet)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from deepfracture.learn import embedded_model, load_model
 from deepfracture.learn.partition.onnx import export_onnx as export
 from deepfracture.learn.published import kind_of
 from deepfracture.runtime.progress import log, stage
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 
 
@@ -36,6 +36,7 @@ def _file(name: str) -> Path:
 
         known = sorted(file.stem for file in SHIPPED.glob("*.safetensors"))
         raise BadInput(
-            f"{name!r}: neither a file nor a shape whose model ships, which are {', '.join(known)}{meant(name, known)}"
+            f"{name!r}: neither a file nor a shape whose model ships, which are {', '.join(known)}"
+            f"{did_you_mean(name, known)}"
         )
     return shipped

@@ -15,8 +15,8 @@ from deepfracture.cli.formats import check_formats, write_formats
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import faults, load_shape
-from deepfracture.runtime.files import filling
-from deepfracture.runtime.lock import alone
+from deepfracture.runtime.files import atomic_contents
+from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import Stage, collect_stages, log, stage
 from deepfracture.types import Material
 from deepfracture.world import Outcome, Scene, load_scene, save_scene
@@ -38,7 +38,7 @@ def shatter(
 
     The files appear there together, the report last. BadInput if another process is at that folder."""
     check_formats(formats or ())
-    with alone(out), collect_stages() as stages:
+    with exclusive(out), collect_stages() as stages:
         with stage("load"):
             if scene is None:
                 shape = load_shape(name, repair=repair)
@@ -62,7 +62,7 @@ def shatter(
             rng = np.random.default_rng(played.seed)
             outcome = run_world(played, shapes, seam, rng, materials=materials)
         made_of = {id(shape): materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
-        with filling(out, last=REPORT) as folder:
+        with atomic_contents(out, last=REPORT) as folder:
             files = write_formats(outcome, played, folder, formats, film=film)
             with stage("write scene.toml"):
                 save_scene(_portable(played, out), folder / "scene.toml")

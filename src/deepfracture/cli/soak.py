@@ -12,7 +12,7 @@ def soak(
     limit: float, resolution: int | None, engine: str, model: Path | None, data: Path | None, repair: bool,
 ) -> bool:  # fmt: skip
     """Hit and check, say what came of it; whether all was well."""
-    from deepfracture.runtime.files import replacing
+    from deepfracture.runtime.files import atomic_file
     from deepfracture.soak import Settings, summary
     from deepfracture.soak import soak as run
     from deepfracture.soak.results import sound
@@ -24,6 +24,6 @@ def soak(
     told = summary(rows, settings)
     log.info("%s", told.rstrip())
     if out is not None:
-        with replacing(out / "summary.md") as temporary:
+        with atomic_file(out / "summary.md") as temporary:
             temporary.write_text(told, encoding="utf-8")
     return sound(rows)

@@ -7,8 +7,8 @@ import logging
 import sys
 from pathlib import Path
 
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 
 COLUMNS = f"{'case':<60} {'exact':>11} {'ours':>11} {'error':>9} {'limit':>9}  {'ok':<3} {'N':>5} {'seconds':>8}"
@@ -19,7 +19,7 @@ def validate(*, json_file: Path | None, plots: Path | None, quick: bool) -> bool
     from deepfracture.validation import draw, outcomes
 
     if plots:
-        need("matplotlib", extra="plots", to="draw the plots of a validation")
+        require("matplotlib", extra="plots", to="draw the plots of a validation")
     rows, level = [], log.level
     log.setLevel(logging.WARNING)  # the stages of each simulation would bury the table
     sys.stdout.write(f"{COLUMNS}\n")
@@ -49,5 +49,5 @@ def _line(row: dict) -> str:
 
 
 def _write(path: Path, rows: list[dict]) -> None:
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

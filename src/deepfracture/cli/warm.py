@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 
-from deepfracture.runtime.files import scratch
+from deepfracture.runtime.files import scratch_folder
 from deepfracture.runtime.progress import log
 
 
@@ -19,7 +19,7 @@ def warm() -> None:
     log.setLevel(logging.WARNING)
     try:
         for name, breaker in (("pot", "learned"), ("bar", "physical"), ("bar", "voronoi")):
-            with scratch() as folder:
+            with scratch_folder() as folder:
                 shatter(
                     name, breaker=breaker, out=folder, material="plaster", throw=Throw(speed=16.0, heading=0.0),
                     scene=None, model=None, dataset=None, resolution=32, roughness=0.0, engine="rapier", seed=0,

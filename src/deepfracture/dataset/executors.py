@@ -12,9 +12,9 @@ from typing import Any, Protocol
 
 from deepfracture.dataset.guard import Guarded, Job, collision_seed
 from deepfracture.dataset.store import write_failed
-from deepfracture.runtime.extras import need
+from deepfracture.runtime.extras import require
 from deepfracture.runtime.progress import log
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 
 EXECUTORS = ("local", "ray")
@@ -41,7 +41,7 @@ def executor_named(name: str, *, workers: int | None, address: str | None) -> Ex
     Raises:
         BadInput: There is no such executor, or a value makes no sense for it."""
     if name not in EXECUTORS:
-        raise BadInput(f"executor must be one of {', '.join(EXECUTORS)}, got {name!r}{meant(name, EXECUTORS)}")
+        raise BadInput(f"executor must be one of {', '.join(EXECUTORS)}, got {name!r}{did_you_mean(name, EXECUTORS)}")
     if workers is not None and workers < 1:
         raise BadInput(f"workers must be at least 1, got {workers}")
     if name == "ray":
@@ -92,7 +92,7 @@ class OnRay:
     """Tasks at once; None: as many as there are processors, whoever joins."""
 
     def run(self, job: Job, entries: Sequence[int]) -> Iterator[int]:
-        ray = need("ray", extra="ray", to="simulate on many machines")
+        ray = require("ray", extra="ray", to="simulate on many machines")
         ours = not ray.is_initialized()
         if ours:
             try:

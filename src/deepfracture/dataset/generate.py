@@ -15,7 +15,7 @@ from deepfracture.dataset.guard import Collide, Job, Outcome
 from deepfracture.dataset.storage import Folder
 from deepfracture.dataset.store import Dataset, Settings, create, done, forget, open_dataset
 from deepfracture.runtime.progress import log, track
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Grid, Material, Shape
 
 LIMIT = 600.0
@@ -75,7 +75,7 @@ def simulate_collisions(
     if not 0 < slow <= fast:
         raise BadInput(f"speed_range must be positive and ascending, got {speed_range}")
     if scene not in KINDS:
-        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}{meant(scene, KINDS)}")
+        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}{did_you_mean(scene, KINDS)}")
     if refracture < 0 or frames < 1:
         raise BadInput(f"refracture must be 0 or more and frames at least 1, got {refracture} and {frames}")
     if repeats < 1:

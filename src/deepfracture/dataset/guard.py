@@ -24,8 +24,8 @@ from deepfracture.dataset.arrays import shards
 from deepfracture.dataset.record import LARGEST, Record, record_key
 from deepfracture.dataset.storage import Storage, storage_at
 from deepfracture.dataset.store import MANIFEST, Settings, put, read_manifest, write_failed, write_unbroken
-from deepfracture.runtime.parallel import one_thread_each
-from deepfracture.runtime.progress import hush, log
+from deepfracture.runtime.parallel import single_threaded_processes
+from deepfracture.runtime.progress import disable_progress, log
 from deepfracture.types import BadInput, FracturePattern, Impact, NoSolution
 
 ATTEMPTS = 2
@@ -111,7 +111,7 @@ class Guarded:
     def _start(self) -> None:
         context = get_context("spawn")
         self._line, theirs = context.Pipe()
-        with one_thread_each():
+        with single_threaded_processes():
             self._process = context.Process(target=_work, args=(theirs, self.job), daemon=True)
             self._process.start()
         theirs.close()
@@ -168,7 +168,7 @@ def _work(line: Connection, job: Job) -> None:
     """The life of a worker process: what cannot be blamed on one entry ends it and the job."""
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent: let a collision finish
-    hush()  # the parent shows how far all of them are
+    disable_progress()  # the parent shows how far all of them are
     try:
         storage = storage_at(job.place)
         if read_manifest(storage) is None:

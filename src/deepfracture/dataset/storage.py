@@ -18,8 +18,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import advice, scratch, sweep
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import explain_write_error, remove_stale, scratch_folder
 from deepfracture.types import BadInput
 
 ABREAST = 32
@@ -70,7 +70,7 @@ class Storage(Protocol):
         """Remove an object; there may be none."""
         ...
 
-    def sweep(self) -> None:
+    def remove_stale(self) -> None:
         """Drop what writers that are no more left half written."""
         ...
 
@@ -91,7 +91,7 @@ def storage_at(place: str | Path | Storage) -> Storage:
     bucket, _, prefix = rest.strip("/").partition("/")
     if scheme != "s3" or not bucket or not prefix:
         raise BadInput(f"{text}: a data set lies in a folder or at s3://BUCKET/PREFIX")
-    need("obstore", extra="s3", to="keep data sets in buckets")
+    require("obstore", extra="s3", to="keep data sets in buckets")
     return Bucket(bucket, prefix)
 
 
@@ -124,16 +124,16 @@ class Folder:
 
     def write(self, key: str, data: bytes) -> None:
         path = self._inside(key)
-        with self._written(path, data) as scratch:
-            os.replace(scratch, path)
+        with self._written(path, data) as temporary:
+            os.replace(temporary, path)
 
     def create(self, key: str, data: bytes) -> bool:
         path = self._inside(key)
         if path.exists():
             return False
-        with self._written(path, data) as scratch:
+        with self._written(path, data) as temporary:
             try:
-                os.link(scratch, path)
+                os.link(temporary, path)
             except FileExistsError:
                 return False
         return True
@@ -152,9 +152,9 @@ class Folder:
         with _told(path, "removed"):
             path.unlink(missing_ok=True)
 
-    def sweep(self) -> None:
+    def remove_stale(self) -> None:
         if self.root.is_dir():
-            sweep(self.root)
+            remove_stale(self.root)
 
     def _inside(self, key: str) -> Path:
         """The path of a key; a link that leads out of the folder is not followed."""
@@ -170,7 +170,7 @@ class Folder:
         """A hidden file with `data`, to be moved to `path` or linked there; gone when the block ends."""
         with _told(path, "written"):
             path.parent.mkdir(parents=True, exist_ok=True)
-            with scratch(self.root) as folder, (folder / "object").open("wb") as file:
+            with scratch_folder(self.root) as folder, (folder / "object").open("wb") as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())  # a record must not be on the disk before what it tells of
@@ -251,7 +251,7 @@ class Bucket:
         with self._told(f"removed at {key}"), suppress(FileNotFoundError):
             obstore.delete(self._store, key)
 
-    def sweep(self) -> None:
+    def remove_stale(self) -> None:
         """Nothing to do: an object that was not sent to its end is none."""
 
     @contextmanager
@@ -286,4 +286,6 @@ def _told(path: Path, done: str) -> Iterator[None]:
         yield
     except OSError as error:
         named = error if error.filename else OSError(error.errno, error.strerror, str(path))
-        raise NotReached(advice(named) or f"{path}: cannot be {done}: {error.strerror or error}") from error
+        raise NotReached(
+            explain_write_error(named) or f"{path}: cannot be {done}: {error.strerror or error}"
+        ) from error

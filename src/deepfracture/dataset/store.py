@@ -38,7 +38,7 @@ from deepfracture.dataset.arrays import (
 )
 from deepfracture.dataset.record import FOLDER, LARGEST, NAME, Record, Stored, parse, read_record, record_key
 from deepfracture.dataset.storage import NotReached, Storage, storage_at
-from deepfracture.runtime.extras import has, need
+from deepfracture.runtime.extras import is_installed, require
 from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact, Material, Mesh, Shape
 
@@ -340,7 +340,7 @@ def create(path: Path | str | Storage, settings: Settings) -> Storage:
     arrays = dict(array_header(name, settings.resolution) for name in ARRAYS)
     for key, data in {**mesh_objects(settings.shape.mesh), **headers(), **arrays}.items():
         storage.create(key, data)
-    storage.sweep()
+    storage.remove_stale()
     return storage
 
 
@@ -420,10 +420,10 @@ def one_line(error: Exception) -> str:
 
 def _usable(path: Path | str | Storage) -> Storage:
     """Every data set comes from `create` or `open_dataset`, which ask for the library before they touch a file."""
-    if sys.version_info < OLDEST and not has("zarr"):
+    if sys.version_info < OLDEST and not is_installed("zarr"):
         here, oldest = (".".join(map(str, version[:2])) for version in (sys.version_info, OLDEST))
         raise BadInput(f"data sets need Python {oldest} or newer, as zarr 3 does; this is {here}")
-    need("zarr", extra="data", to="read and write data sets")
+    require("zarr", extra="data", to="read and write data sets")
     return storage_at(path)
 
 

@@ -15,7 +15,7 @@ from deepfracture.compare import traits_of
 from deepfracture.dataset import Dataset
 from deepfracture.evaluate.collision import Answer, Collision, Measured, measure
 from deepfracture.evaluate.sensitivity import sensitivities
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track
 from deepfracture.types import BadInput, Impact, Shape
 
@@ -45,7 +45,7 @@ class Evaluation:
     def save(self, path: Path, **more: Any) -> None:
         """Write everything, and `more` beside it, as JSON."""
         value = {"format": FORMAT, **more, **asdict(self)}
-        with replacing(path) as temporary:
+        with atomic_file(path) as temporary:
             temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from deepfracture.compare import MEASURES
 from deepfracture.evaluate.evaluation import Evaluation
 from deepfracture.evaluate.summary import Interval, Summary, mott_larger, relative_volumes, simulated
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,5 +102,5 @@ def _figure(size: tuple[float, float]) -> tuple[Figure, Axes]:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary, dpi=110)

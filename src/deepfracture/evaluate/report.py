@@ -12,7 +12,7 @@ from deepfracture.compare import MEASURES
 from deepfracture.evaluate.evaluation import Evaluation
 from deepfracture.evaluate.plots import plot_counts, plot_scores, plot_volumes
 from deepfracture.evaluate.summary import BASELINE, Interval, Summary, floors, simulated, summarise
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 
 UNITS = {"centre": "m", "chamfer": "m", "division": "bits"}
 """Of measures that are not ratios."""
@@ -138,5 +138,5 @@ def _plain(value: Any) -> Any:
 
 
 def _write(path: Path, text: str) -> None:
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from deepfracture.export.names import body_names
 from deepfracture.geometry.rotations import continuous_quats, quat_between, quats_from_matrices
 from deepfracture.recording.motion import keys, pivot, pivot_positions, similarity
 from deepfracture.recording.surface import METALLIC, ROUGHNESS, Surface, linear, track_surfaces
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import Floats, Recording, Track
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def write_glb(recording: Recording, path: str | os.PathLike) -> None:
     recording gives the same bytes.
     """
     data = _Builder(recording).bytes()
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_bytes(data)
 
 

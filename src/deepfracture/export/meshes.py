@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from deepfracture.export.wavefront import write_library, write_obj
 from deepfracture.geometry.appearance import carried
 from deepfracture.recording.surface import COLOURS, painted
-from deepfracture.runtime.files import replacing_folder
+from deepfracture.runtime.files import atomic_folder
 from deepfracture.types import Appearance, Floats, Fragment, Fragments, Shape
 
 
@@ -27,7 +27,7 @@ def write_fragments(fragments: Fragments, shape: Shape, folder: str | os.PathLik
     folder = Path(folder)
     names = [f"fragment_{k:03d}" for k in range(len(fragments))]
     paint = painted(shape)
-    with replacing_folder(folder) as temporary:
+    with atomic_folder(folder) as temporary:
         for name, piece in zip(names, fragments, strict=True):
             look = carried(paint, shape.mesh, piece.mesh, piece.source)
             (temporary / f"{name}.ply").write_bytes(_ply(piece, shape, look))

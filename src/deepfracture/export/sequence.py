@@ -16,7 +16,7 @@ from deepfracture.export.wavefront import material_lines, picture_name
 from deepfracture.geometry.rotations import continuous_quats, rotation_matrices, slerp
 from deepfracture.recording.motion import pivot, pivot_positions, similarity
 from deepfracture.recording.surface import Surface, track_surfaces
-from deepfracture.runtime.files import replacing_folder
+from deepfracture.runtime.files import atomic_folder
 from deepfracture.runtime.progress import track as with_progress
 from deepfracture.types import BadInput, Floats, Ints, Recording, Track
 
@@ -52,7 +52,7 @@ def write_sequence(
     folder = Path(folder)
     bodies = _bodies(recording)
     names = [f"frame_{k:04d}.{kind}" for k in range(int(recording.duration * rate + NEAR) + 1)]
-    with replacing_folder(folder) as temporary:
+    with atomic_folder(folder) as temporary:
         write, finish = WRITERS[kind](bodies, temporary)
         for number, name in enumerate(with_progress(names, name=f"write {kind} sequence")):
             time = number / rate / recording.frame_time

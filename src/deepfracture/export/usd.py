@@ -20,8 +20,8 @@ from deepfracture.export.usd_looks import Looks
 from deepfracture.geometry.rotations import continuous_quats, quat_between, quats_from_matrices, rotation_matrices
 from deepfracture.recording.motion import break_frame, keys, pivot, pivot_positions, similarity
 from deepfracture.recording.surface import track_surfaces
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import replacing, replacing_folder
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import atomic_file, atomic_folder
 from deepfracture.types import BadInput, Floats, Recording, Rigid, Touch, Track
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def write_usd(
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise BadInput(f"{path}: a USD file ends in {', '.join(SUFFIXES)}")
-    need("pxr.Usd", extra="usd", to="write USD")
+    require("pxr.Usd", extra="usd", to="write USD")
     package = path.suffix == ".usdz"
     folder = "textures" if package else f"{path.stem}_textures"
     stage = _stage(recording, metres_per_unit)
@@ -90,9 +90,9 @@ def write_usd(
         _write_package(stage, looks.textures, folder, path)
         return
     if looks.textures:
-        with replacing_folder(path.parent / folder) as temporary:
+        with atomic_folder(path.parent / folder) as temporary:
             _write_textures(looks.textures, temporary)
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         stage.GetRootLayer().Export(str(temporary))
 
 
@@ -104,7 +104,7 @@ def _write_textures(textures: dict[str, bytes], folder: Path) -> None:
 def _write_package(stage: Usd.Stage, textures: dict[str, bytes], folder: str, path: Path) -> None:
     from pxr import Sdf, UsdUtils
 
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         source = temporary.parent / "packed" / f"{path.stem}.usdc"
         (source.parent / folder).mkdir(parents=True)
         _write_textures(textures, source.parent / folder)

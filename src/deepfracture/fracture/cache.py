@@ -13,7 +13,7 @@ import numpy as np
 from deepfracture.fracture.elastostatics import ElasticBody, prepare
 from deepfracture.fracture.lattice import Lattice
 from deepfracture.geometry import remesh, signed_distance_lattice
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, stage
 from deepfracture.types import BadInput, Floats32, Mesh
 
@@ -73,7 +73,7 @@ def _load_array(path: Path) -> Floats32:
 
 
 def _save_array(values: Floats32, path: Path) -> None:
-    with replacing(path) as temporary, open(temporary, "wb") as file:
+    with atomic_file(path) as temporary, open(temporary, "wb") as file:
         np.save(file, values)
 
 

@@ -14,7 +14,7 @@ from deepfracture.fracture.separate import open_faces
 from deepfracture.fracture.sheet import SheetSolver
 from deepfracture.fracture.stress import StressState
 from deepfracture.fracture.variation import Variation
-from deepfracture.runtime.progress import Stopwatch
+from deepfracture.runtime.progress import StageTimer
 from deepfracture.types import Floats, Floats32
 
 MAX_CRACKS = 400
@@ -44,7 +44,7 @@ class Cracks:
     count: int = 0
     tension: float = 0.0
     """Greatest driving stress over local strength that the uncracked body would have seen."""
-    time: Stopwatch = field(default_factory=Stopwatch)
+    time: StageTimer = field(default_factory=StageTimer)
 
     @staticmethod
     def on(

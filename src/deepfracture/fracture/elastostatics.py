@@ -29,7 +29,7 @@ from deepfracture.fracture.integrals import (
     triangle_integrals,
 )
 from deepfracture.geometry import mass_properties
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats, Ints, Labels, Mesh, NoSolution
 
 FAR = 3.0
@@ -69,7 +69,7 @@ class ElasticBody:
     def save(self, path: str | Path) -> None:
         """Write to one .npz file, complete or not at all."""
         path = Path(path)
-        with replacing(path) as temporary, open(temporary, "wb") as file:
+        with atomic_file(path) as temporary, open(temporary, "wb") as file:
             np.savez(
                 file,
                 format=np.array(FORMAT),

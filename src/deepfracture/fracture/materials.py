@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Material
 
 _PRESETS = (
@@ -111,5 +111,7 @@ MATERIALS = MappingProxyType({preset.name: preset for preset in _PRESETS})
 def material(name: str) -> Material:
     """The preset called `name`. Raises BadInput with the names that exist."""
     if name not in MATERIALS:
-        raise BadInput(f"no material is called {name!r}; choose from {', '.join(MATERIALS)}{meant(name, MATERIALS)}")
+        raise BadInput(
+            f"no material is called {name!r}; choose from {', '.join(MATERIALS)}{did_you_mean(name, MATERIALS)}"
+        )
     return MATERIALS[name]

@@ -10,7 +10,7 @@ import numpy as np
 from deepfracture.geometry.collapse import collapse_short
 from deepfracture.geometry.normalise import normalise
 from deepfracture.geometry.solids import blocks, box, fillet, sampled, slab, spline, tube, turned, united
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Floats, Mesh, Shape
 
 WALL = 0.18
@@ -177,7 +177,8 @@ def builtin(name: str) -> Shape:
     plain = plain_name(name)
     if plain not in _MAKERS:
         raise BadInput(
-            f"{name!r}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}{meant(plain, BUILTIN)}"
+            f"{name!r}: neither a file nor a built-in shape; built in are {', '.join(BUILTIN)}"
+            f"{did_you_mean(plain, BUILTIN)}"
         )
     return _made(plain)
 

@@ -17,7 +17,7 @@ from deepfracture.geometry.topology import faults, shell_volumes, shells, split_
 from deepfracture.geometry.untangle import crossing_faces
 from deepfracture.geometry.wavefront import read_obj
 from deepfracture.runtime.progress import log
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import Appearance, BadInput, Mesh, Shape
 
 LONGEST = 1e60
@@ -35,7 +35,7 @@ def read_triangles(path: str | Path) -> Mesh:
 def _soup(path: Path) -> Soup:
     if not os.path.exists(path):  # also where no file can be called so
         beside = (other.name for other in path.parent.iterdir()) if path.parent.is_dir() else ()
-        raise BadInput(f"{path}: no such file{meant(path.name, beside)}")
+        raise BadInput(f"{path}: no such file{did_you_mean(path.name, beside)}")
     if path.is_dir():
         raise BadInput(f"{path}: is a folder, not a mesh file")
     if path.suffix.lower() not in EXTENSIONS:

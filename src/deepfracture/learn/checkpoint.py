@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats32, Grid
 
 KEY = "deepfracture"
@@ -25,7 +25,7 @@ def write(path: Path, kind: str, arrays: Mapping[str, NDArray], facts: Mapping[s
 
     text = json.dumps({"kind": kind, **facts})
     tidy = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_bytes(save(tidy, {KEY: text}))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from deepfracture.dataset import Dataset
 from deepfracture.learn.partition.config import Config
 from deepfracture.learn.reconstruction import Recall
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 
 COLUMNS = ("epoch", "seconds", "loss", "learning_rate", "count_error", "bits", "ceiling", "l2")
 
@@ -111,7 +111,7 @@ def card_text(dataset: Dataset, config: Config, command: str, seed: int, size: i
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_bytes(content)
 
 

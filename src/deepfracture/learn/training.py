@@ -35,7 +35,7 @@ from deepfracture.learn.partition.selector import Choice, fit, mean_distance
 from deepfracture.learn.partition.targets import anchors, target_of
 from deepfracture.learn.reconstruction import Probe, Recall, recall
 from deepfracture.learn.report import Card, Point, card_text, write_card, write_curve
-from deepfracture.runtime.lock import alone
+from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import log, stage, track
 from deepfracture.types import BadInput, Grid
 
@@ -90,7 +90,7 @@ def train(
     """
     refuse_team()
     budget = Budget(epochs, minutes)
-    with alone(out):
+    with exclusive(out):
         return _trained(dataset, out, config, budget, resume, device, seed)
 
 

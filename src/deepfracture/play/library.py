@@ -23,7 +23,7 @@ from deepfracture.fracture import FractureBody
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.learn import embedded_model
-from deepfracture.runtime.memory import give_back
+from deepfracture.runtime.memory import release_free_memory
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Breaker, FracturePattern, Fragments, Grid, Impact, Material, Shape
 
@@ -132,7 +132,7 @@ class Library:
             if now - self._tidied < TIDY:
                 return
             self._tidied = now
-        give_back()
+        release_free_memory()
 
     def _load(self, name: str, model: Path | None, up: str | None) -> Entry:
         shape = load_shape(name)

@@ -20,7 +20,7 @@ from deepfracture.play.panel import Panel
 from deepfracture.play.saving import make
 from deepfracture.play.session import Session, Setup, rehearse
 from deepfracture.play.telling import Timing
-from deepfracture.runtime.files import advice
+from deepfracture.runtime.files import explain_write_error
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, NoSolution
 
@@ -160,7 +160,7 @@ class Player:
             except (BadInput, RuntimeError) as problem:
                 self._panel.complain(str(problem))
             except OSError as problem:  # a full disk: the page stays, and says so
-                self._panel.complain(advice(problem) or str(problem))
+                self._panel.complain(explain_write_error(problem) or str(problem))
             finally:
                 self._saving = False
                 done()

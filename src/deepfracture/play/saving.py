@@ -11,7 +11,7 @@ from deepfracture.export import write_glb
 from deepfracture.export.usd import write_usd
 from deepfracture.play.library import Entry
 from deepfracture.render import write_film
-from deepfracture.runtime.files import scratch
+from deepfracture.runtime.files import scratch_folder
 from deepfracture.types import BadInput, Recording
 from deepfracture.world import Scene, save_scene
 
@@ -34,7 +34,7 @@ def make(kind: str, recording: Recording, scene: Scene, entry: Entry) -> tuple[s
         "film": lambda path: write_film(recording, path),
         "scene": lambda path: save_scene(scene, path),
     }
-    with scratch() as folder:
+    with scratch_folder() as folder:
         path = folder / name
         writers[kind](path)
         return name, path.read_bytes()
@@ -48,7 +48,7 @@ def _with_mesh(scene: Scene, mesh: Path, model: Path | None) -> bytes:
     if model is not None:
         command += " --model model.safetensors"
     held = io.BytesIO()
-    with scratch() as folder:
+    with scratch_folder() as folder:
         file = folder / "scene.toml"
         save_scene(replace(scene, shapes=placed), file)
         with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as packed:

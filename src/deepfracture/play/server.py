@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from deepfracture.play.guard import calm, forbid_sharing, is_loopback, limit_messages, stranger, turn_away
 from deepfracture.play.library import Library
 from deepfracture.play.player import Player
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import scratch
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import scratch_folder
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 from deepfracture.viewer import add_floor
@@ -71,7 +71,7 @@ def serve(options: Options) -> None:
 @contextmanager
 def page(options: Options) -> Iterator[str]:
     """The page while the context lasts; its address. BadInput for a shape or model that cannot be used."""
-    need("viser", extra="play", to="play in the browser")
+    require("viser", extra="play", to="play in the browser")
     import viser
 
     library = Library(options.shape, model=options.model, up=options.up)
@@ -80,7 +80,7 @@ def page(options: Options) -> Iterator[str]:
     players: dict[int, Player] = {}
     with redirect_stdout(io.StringIO()):  # viser prints an address of its own
         server = viser.ViserServer(host=options.host, port=options.port, label="deepfracture", verbose=False)
-    with scratch() as folder:
+    with scratch_folder() as folder:
         try:
             forbid_sharing(server)
             _furnish(server)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from deepfracture.render.camera import frame_action
 from deepfracture.render.studio import RecordingStudio
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track
 from deepfracture.types import Recording
 
@@ -46,11 +46,11 @@ def write_pictures(
     """Write RGB pictures, each (h, w, 3), as a film of one shot after the other; returns their number.
 
     `size` is width and height [pixel], multiples of 16. Errors as in `write_film`."""
-    need("imageio_ffmpeg", extra="render", to="write a film")
+    require("imageio_ffmpeg", extra="render", to="write a film")
     import imageio_ffmpeg
 
     count = 0
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
             size,

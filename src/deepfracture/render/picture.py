@@ -12,7 +12,7 @@ from deepfracture.recording.surface import surfaces
 from deepfracture.render.camera import ELEVATION, frame_action, frame_points
 from deepfracture.render.film import in_threads
 from deepfracture.render.studio import Prop, RecordingStudio, Studio
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import Fragments, Recording, Shape
 
 STILL_SAMPLES = 3
@@ -78,5 +78,5 @@ def before_hit_after(recording: Recording, path: str | os.PathLike, *, size: tup
 def _save(picture: NDArray[np.uint8], path: str | os.PathLike) -> None:
     from PIL import Image
 
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG", optimize=True)

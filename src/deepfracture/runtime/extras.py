@@ -10,7 +10,7 @@ from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 
 
-def has(module: str) -> bool:
+def is_installed(module: str) -> bool:
     """Whether `module` is installed; it is not imported, so that asking costs nothing."""
     try:
         return find_spec(module) is not None
@@ -18,20 +18,20 @@ def has(module: str) -> bool:
         return False
 
 
-def left_out(file: str, module: str, *, extra: str) -> bool:
+def skip_unless_installed(file: str, module: str, *, extra: str) -> bool:
     """Whether `file` cannot be written as `module` is missing; says so in one line of the log."""
-    if has(module):
+    if is_installed(module):
         return False
-    log.warning("%s left out: %s makes it", file, pip_line(extra))
+    log.warning("%s left out: %s makes it", file, pip_command(extra))
     return True
 
 
-def pip_line(*extras: str) -> str:
+def pip_command(*extras: str) -> str:
     """What to type to install `extras` of this program."""
     return f"pip install 'deepfracture[{','.join(extras)}]'"
 
 
-def need(module: str, *, extra: str, to: str) -> ModuleType:
+def require(module: str, *, extra: str, to: str) -> ModuleType:
     """Import an optional library, on first use.
 
     Args:
@@ -43,13 +43,13 @@ def need(module: str, *, extra: str, to: str) -> ModuleType:
         BadInput: It is not installed, or does not load; says which and what to type.
     """
     library = module.partition(".")[0]
-    if not has(library):
-        raise BadInput(f"{library} is needed to {to} and is not installed: {pip_line(extra)}")
+    if not is_installed(library):
+        raise BadInput(f"{library} is needed to {to} and is not installed: {pip_command(extra)}")
     try:
         return import_module(module)
     except ImportError as error:
         reason = str(error).strip().split("\n")[0]
         raise BadInput(
             f"{library} is needed to {to}, is installed and does not load ({reason}): "
-            f"{pip_line(extra)} --force-reinstall, or see `deepfracture doctor`"
+            f"{pip_command(extra)} --force-reinstall, or see `deepfracture doctor`"
         ) from error

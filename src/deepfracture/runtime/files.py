@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from deepfracture.runtime.lock import let_go, take
+from deepfracture.runtime.lock import acquire, release
 from deepfracture.types import BadInput
 
 PREFIX = ".deepfracture-"
@@ -40,7 +40,7 @@ PROBE = 1 << 16
 """Bytes that have to fit where something failed for another reason than a full disk."""
 
 
-def advice(problem: OSError) -> str | None:
+def explain_write_error(problem: OSError) -> str | None:
     """One line: which file, what is wrong, what to do. None for errors that are not about writing files."""
     if problem.errno not in ADVICE or problem.filename is None:
         return None
@@ -48,7 +48,7 @@ def advice(problem: OSError) -> str | None:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
+def atomic_file(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary file of the same name, moved onto `path` when the block ends well.
 
     OSError names `path` where it cannot be written."""
@@ -61,7 +61,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_folder(folder: str | os.PathLike) -> Iterator[Path]:
+def atomic_folder(folder: str | os.PathLike) -> Iterator[Path]:
     """A temporary folder of the same name, moved into the place of `folder` when the block ends well.
 
     A former `folder` is dropped with all that is in it. OSError names `folder` where it cannot be written."""
@@ -76,7 +76,7 @@ def replacing_folder(folder: str | os.PathLike) -> Iterator[Path]:
 
 
 @contextmanager
-def filling(folder: str | os.PathLike, *, last: str) -> Iterator[Path]:
+def atomic_contents(folder: str | os.PathLike, *, last: str) -> Iterator[Path]:
     """A temporary folder, the content of which moves into `folder` when the block ends well.
 
     last: the file that goes there last; a former one is removed before the first. So wherever it is, all that
@@ -93,12 +93,12 @@ def filling(folder: str | os.PathLike, *, last: str) -> Iterator[Path]:
 
 
 @contextmanager
-def scratch(parent: str | os.PathLike | None = None) -> Iterator[Path]:
+def scratch_folder(parent: str | os.PathLike | None = None) -> Iterator[Path]:
     """An empty folder in `parent` (None: where the system keeps temporary files), which goes with the block.
 
     Those of processes that were killed are swept first."""
     parent = Path(tempfile.gettempdir() if parent is None else parent)
-    sweep(parent)
+    remove_stale(parent)
     folder, handle = _claim(parent)
     try:
         (folder / NEW).mkdir()
@@ -106,17 +106,17 @@ def scratch(parent: str | os.PathLike | None = None) -> Iterator[Path]:
     finally:
         for name in (NEW, FORMER):
             shutil.rmtree(folder / name, ignore_errors=True)
-        let_go(handle, folder / LOCK)
+        release(handle, folder / LOCK)
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def sweep(folder: Path) -> None:
+def remove_stale(folder: Path) -> None:
     """Remove what killed processes left in `folder`, and put back what they had moved out of its place."""
     for left in folder.glob(f"{PREFIX}*"):
         try:
             if left.is_symlink() or (os.name != "nt" and left.lstat().st_uid != os.getuid()):
                 continue
-            handle = take(left / LOCK, make=False)
+            handle = acquire(left / LOCK, make=False)
         except FileNotFoundError:  # killed before there was a lock, or just about to make one
             _remove_if_empty(left)
             continue
@@ -132,7 +132,7 @@ def sweep(folder: Path) -> None:
             for name in (NEW, FORMER):
                 shutil.rmtree(left / name, ignore_errors=True)
         finally:
-            let_go(handle, left / LOCK)
+            release(handle, left / LOCK)
             _remove_if_empty(left)
 
 
@@ -144,7 +144,7 @@ def _remove_if_empty(folder: Path) -> None:
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with scratch(path.parent) as folder:
+    with scratch_folder(path.parent) as folder:
         yield folder
 
 
@@ -153,7 +153,7 @@ def _claim(parent: Path) -> tuple[Path, int]:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
         try:
-            handle = take(folder / LOCK)
+            handle = acquire(folder / LOCK)
         except FileNotFoundError:  # another process took it for a leftover
             continue
         except OSError:
@@ -172,7 +172,7 @@ def _put(fresh: Path, place: Path) -> None:
         return
     former = fresh.parent.parent / FORMER
     former.mkdir(exist_ok=True)
-    os.replace(place, former / place.name)  # a kill here is mended by `sweep`
+    os.replace(place, former / place.name)  # a kill here is repaired by `remove_stale`
     os.replace(fresh, place)
 
 

@@ -19,7 +19,7 @@ PLACE = 1 << 30
 
 
 @contextmanager
-def alone(folder: str | os.PathLike) -> Iterator[None]:
+def exclusive(folder: str | os.PathLike) -> Iterator[None]:
     """Write to `folder`, as the only process that asks so. It is made where it is not there, and goes again if nothing
     is written to it.
 
@@ -33,7 +33,7 @@ def alone(folder: str | os.PathLike) -> Iterator[None]:
         while True:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                handle = take(path)
+                handle = acquire(path)
                 break
             except (FileExistsError, FileNotFoundError):  # another process has removed it meanwhile
                 if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -45,14 +45,14 @@ def alone(folder: str | os.PathLike) -> Iterator[None]:
             os.write(handle, str(os.getpid()).encode())
         yield
     finally:
-        let_go(handle, path)
+        release(handle, path)
         with suppress(OSError):  # something has been written
             for place in made:
                 place.rmdir()
 
 
-def take(path: Path, *, make: bool = True) -> int | None:
-    """A lock on the file `path`, to be given back by `let_go`; None if somebody holds it, in whatever process.
+def acquire(path: Path, *, make: bool = True) -> int | None:
+    """A lock on the file `path`, to be given back by `release`; None if somebody holds it, in whatever process.
 
     make: whether the file is made where it is not there; else FileNotFoundError. On file systems that know no
     locks the file is taken as it is, with a warning, if it had to be made, and else left alone."""
@@ -75,8 +75,8 @@ def take(path: Path, *, make: bool = True) -> int | None:
         # Its owner has removed it between our opening and our locking it: that was another file.
 
 
-def let_go(handle: int, path: Path) -> None:
-    """Give back what `take` gave; the file goes, too."""
+def release(handle: int, path: Path) -> None:
+    """Release what `acquire` returned; the file goes, too."""
     if os.name == "nt":  # where an open file cannot be removed
         os.close(handle)
         with suppress(PermissionError):  # the next one has it open already

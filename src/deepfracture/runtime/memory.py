@@ -23,7 +23,7 @@ def resident_mb() -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def give_back() -> None:
+def release_free_memory() -> None:
     """Give memory that is free back to the system.
 
     glibc keeps what each thread frees for that thread's next wish, so a process holds the most that it ever needed,

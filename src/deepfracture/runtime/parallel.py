@@ -41,7 +41,7 @@ _starting = threading.Lock()
 
 
 @contextmanager
-def one_thread_each() -> Iterator[None]:
+def single_threaded_processes() -> Iterator[None]:
     """Processes that start meanwhile use one thread: quickest where there are many, and sums always come out alike."""
     with _starting:
         before = {name: os.environ.get(name) for name in ONE_THREAD}
@@ -57,7 +57,7 @@ def one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
+def single_threaded_blas() -> Iterator[None]:
     """Products of matrices on the calling thread: OpenBLAS's own threads stay awake for 20 ms after each, and whatever
     shares its work next goes at half its speed."""
     with _blas().limit(limits=1, user_api="blas"):
@@ -71,7 +71,7 @@ def _blas() -> Any:
     return ThreadpoolController()
 
 
-def product(rows: Floats32, matrix: Floats32) -> Floats32:
+def parallel_matmul(rows: Floats32, matrix: Floats32) -> Floats32:
     """rows @ matrix, blocks of rows side by side: the same for any number of threads."""
     found = np.empty((len(rows), matrix.shape[1]), np.float32)
 
@@ -80,8 +80,8 @@ def product(rows: Floats32, matrix: Floats32) -> Floats32:
             block = slice(n * BLOCK, (n + 1) * BLOCK)
             np.matmul(rows[block], matrix, out=found[block])
 
-    with one_blas_thread():
-        spread(blocks, -(-len(rows) // BLOCK), least=1)
+    with single_threaded_blas():
+        parallel_for(blocks, -(-len(rows) // BLOCK), least=1)
     return found
 
 
@@ -92,7 +92,7 @@ def thread_count() -> int:
     return int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
-def spread(job: Callable[[int, int], T], count: int, *, least: int, uneven: bool = False) -> list[T]:
+def parallel_for(job: Callable[[int, int], T], count: int, *, least: int, uneven: bool = False) -> list[T]:
     """`job(first, last)` of consecutive parts of range(count), side by side; the results in their order.
 
     What comes out must not depend on the parts. Below 2 `least` it is one part, done at once; so it is inside another
@@ -104,7 +104,7 @@ def spread(job: Callable[[int, int], T], count: int, *, least: int, uneven: bool
     return _shared([_part(job, count * n // parts, count * (n + 1) // parts) for n in range(parts)], threads)
 
 
-def apportion(job: Callable[[int], T], sizes: Sequence[float]) -> list[T]:
+def parallel_map(job: Callable[[int], T], sizes: Sequence[float]) -> list[T]:
     """`job(n)` for each n of range(len(sizes)), side by side; the results in their order.
 
     `sizes` say how much work each is: they are put into groups of about the same size, the largest first."""
@@ -126,7 +126,7 @@ def apportion(job: Callable[[int], T], sizes: Sequence[float]) -> list[T]:
     return found
 
 
-def together(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:
+def parallel_invoke(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:
     """The results of two jobs, done side by side."""
     if thread_count() < 2 or getattr(_busy, "here", False):
         return one(), other()
@@ -184,9 +184,9 @@ class _Work:
 
     def wait(self) -> None:
         """Until the jobs that others do are done."""
-        from deepfracture.runtime.spin import all_zero
+        from deepfracture.runtime.spin import spin_until_zero
 
-        if not all_zero(self._left, LINGER):
+        if not spin_until_zero(self._left, LINGER):
             self._ended.wait()
 
 
@@ -200,18 +200,18 @@ class _Helper:
 
 def _help(work: _Work) -> None:
     """What a thread of the pool does."""
-    from deepfracture.runtime.spin import becomes
+    from deepfracture.runtime.spin import spin_until
 
     me, lingering = _Helper(), _lingering(os.getpid())
     while True:
         work.share()
         me.called[0] = 0
         lingering.append(me)
-        if not becomes(me.called, 1, LINGER):
+        if not spin_until(me.called, 1, LINGER):
             try:
                 lingering.remove(me)
             except ValueError:  # just taken from there: the call comes at once
-                while not becomes(me.called, 1, LINGER):
+                while not spin_until(me.called, 1, LINGER):
                     pass
             else:
                 return

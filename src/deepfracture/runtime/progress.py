@@ -59,10 +59,10 @@ def stage(name: str) -> Iterator[None]:
     start = time.perf_counter()
     with _board.running(name, None):
         yield
-    record(name, time.perf_counter() - start)
+    record_stage(name, time.perf_counter() - start)
 
 
-def record(name: str, seconds: float) -> None:
+def record_stage(name: str, seconds: float) -> None:
     """Report a step that took `seconds` in all, as `stage` does."""
     done = Stage(name, seconds, peak_mb())
     log.info("%-24s %8.3f s %8.0f MB", done.stage, done.seconds, done.peak_mb)
@@ -71,7 +71,7 @@ def record(name: str, seconds: float) -> None:
         stages.append(done)
 
 
-class Stopwatch:
+class StageTimer:
     """Adds up the time of named steps that take turns many times."""
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Stopwatch:
     def record(self) -> None:
         """Report each step once."""
         for name, seconds in self.seconds.items():
-            record(name, seconds)
+            record_stage(name, seconds)
 
 
 @dataclass(eq=False)
@@ -113,7 +113,7 @@ class _Board:
     known, and gone when it is done."""
 
     def __init__(self) -> None:
-        self.hushed = False
+        self.disabled = False
         self._jobs: list[_Job] = []
         self._lock = Lock()
         self._timer: Timer | None = None
@@ -122,7 +122,7 @@ class _Board:
     @contextmanager
     def running(self, name: str, total: int | None) -> Iterator[_Job]:
         job = _Job(name, total)
-        if self.hushed or not sys.stderr.isatty():
+        if self.disabled or not sys.stderr.isatty():
             yield job
             return
         with self._lock:
@@ -182,9 +182,9 @@ def _clock(seconds: float) -> str:
 _board = _Board()
 
 
-def hush(hushed: bool = True) -> None:
-    """Show no progress, whatever takes how long; `hush(False)` shows it again."""
-    _board.hushed = hushed
+def disable_progress(disabled: bool = True) -> None:
+    """Show no progress, whatever takes how long; `disable_progress(False)` shows it again."""
+    _board.disabled = disabled
 
 
 def track(items: Iterable[T], *, name: str, total: int | None = None) -> Iterator[T]:
@@ -194,7 +194,7 @@ def track(items: Iterable[T], *, name: str, total: int | None = None) -> Iterato
     with _board.running(name, total) as job:
         for done, item in enumerate(items):
             job.done = done
-            if not terminal and not _board.hushed and done and time.perf_counter() - last > EVERY:
+            if not terminal and not _board.disabled and done and time.perf_counter() - last > EVERY:
                 last = time.perf_counter()
                 log.warning("%s: %d of %s, %.0f s left", name, done, total or "?", job.left or float("nan"))
             yield item

@@ -20,7 +20,7 @@ def _value(_: Any, array: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def becomes(flag, value, turns):
+def spin_until(flag, value, turns):
     """Wait until flag[0] is `value`, for so many turns of a loop, less than a nanosecond each. Whether it is."""
     turn = 0
     while turn < turns and _value(flag) != value:  # pyright: ignore[reportCallIssue]
@@ -29,9 +29,9 @@ def becomes(flag, value, turns):
 
 
 @njit(cache=True, nogil=True)
-def all_zero(flags, turns):
+def spin_until_zero(flags, turns):
     """Wait until all flags are zero, one after another, for so many turns each. Whether they are."""
     n = 0
-    while n < len(flags) and becomes(flags[n:], 0, turns):
+    while n < len(flags) and spin_until(flags[n:], 0, turns):
         n += 1
     return n == len(flags)

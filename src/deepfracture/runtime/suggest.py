@@ -12,7 +12,7 @@ LONGEST = 60
 """Letters of a word that are looked at."""
 
 
-def meant(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, known: Iterable[str]) -> str:
     """What to add to a message about an unknown `word`: "; did you mean 'pot'?", or nothing if none is near."""
     names = {name.lower(): name for name in known}
     near = get_close_matches(word.strip().lower()[:LONGEST], names, n=1, cutoff=ALIKE)

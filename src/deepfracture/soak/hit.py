@@ -21,7 +21,7 @@ from deepfracture.breakers.restrict import piece_grid
 from deepfracture.fracture import MATERIALS, FractureBody
 from deepfracture.geometry import load_shape
 from deepfracture.geometry.rotations import rotation_matrix
-from deepfracture.runtime.memory import give_back, resident_mb
+from deepfracture.runtime.memory import release_free_memory, resident_mb
 from deepfracture.soak.plan import RECALLING, Case, Settings, data_of, model_of
 from deepfracture.soak.scenes import draw_scene
 from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Recording, Shape, Track
@@ -168,7 +168,7 @@ def check(played: Played) -> dict[str, Any]:
                 row["failures"]["through floor"] = row["through"]
         except Exception as crash:
             row |= _crash(crash)
-    give_back()  # so that what is weighed is what is held, not what the largest scene once needed
+    release_free_memory()  # so that what is weighed is what is held, not what the largest scene once needed
     return row | {"resident_mb": resident_mb()}
 
 

@@ -12,7 +12,7 @@ from deepfracture.breakers import BREAKERS
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.geometry.builtin import plain_name
 from deepfracture.learn import embedded_model, load_model
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import RESOLUTIONS, BadInput
 from deepfracture.world import ENGINES
 
@@ -49,7 +49,9 @@ class Settings:
         object.__setattr__(self, "shapes", tuple(_source(name) for name in self.shapes or BUILTIN))
         for name in self.breakers:
             if name not in BREAKERS:
-                raise BadInput(f"breaker {name!r}: unknown; choose from {', '.join(BREAKERS)}{meant(name, BREAKERS)}")
+                raise BadInput(
+                    f"breaker {name!r}: unknown; choose from {', '.join(BREAKERS)}{did_you_mean(name, BREAKERS)}"
+                )
         if self.engine not in ENGINES:
             raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {self.engine!r}")
         if self.resolution is not None and self.resolution not in RESOLUTIONS:

@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfracture.runtime.parallel import one_thread_each
-from deepfracture.runtime.progress import hush, log, track
+from deepfracture.runtime.parallel import single_threaded_processes
+from deepfracture.runtime.progress import disable_progress, log, track
 from deepfracture.soak.hit import Shop, check, hit, play, prepare
 from deepfracture.soak.plan import Case, Settings, numbered
 from deepfracture.soak.results import Results, Row
@@ -73,7 +73,7 @@ def _rows(settings: Settings, cases: list[Case], workers: int, limit: float) -> 
         waiting.put(one)
     found: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
     stopped = threading.Event()
-    with one_thread_each():
+    with single_threaded_processes():
         seats = [_Seat(settings, limit, waiting, found, stopped) for _ in range(workers)]
         try:
             for _ in cases:
@@ -181,7 +181,7 @@ def _work(pipe: Connection, settings: Settings, limit: float, stack: str) -> Non
     """In a worker: None once a case is prepared and once more when it has happened, then its row."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the parent, who ends this process
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
-    hush()
+    disable_progress()
     log.setLevel("ERROR")
     shop, known = Shop(settings), set()
     with open(stack, "w", encoding="utf-8") as file:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.files import atomic_file
 from deepfracture.validation.report import Plot
 
 
@@ -25,6 +25,6 @@ def draw(plot: Plot, folder: Path) -> Path:
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=2)  # beside the axes, so that it hides nothing
     path = folder / f"{plot.name}.png"
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary)
     return path

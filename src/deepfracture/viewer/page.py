@@ -13,8 +13,8 @@ from deepfracture.geometry.rotations import continuous_quats
 from deepfracture.recording.motion import KEY_TOL, exists, floor_height
 from deepfracture.recording.surface import track_surfaces
 from deepfracture.render.camera import frame_action
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track as progress
 from deepfracture.types import Recording, Track
 from deepfracture.viewer.bodies import add_floor, add_surface
@@ -32,7 +32,7 @@ def write_page(recording: Recording, path: str | os.PathLike) -> None:
     """Write a page that plays the recording again and again; the viewer's own bar pauses and rewinds.
 
     Opens a local port while it runs: viser's scene lives in its server."""
-    need("viser", extra="play", to="write a page")
+    require("viser", extra="play", to="write a page")
     import viser
 
     with redirect_stdout(io.StringIO()):  # viser prints an address, at which nothing is to be seen
@@ -42,7 +42,7 @@ def write_page(recording: Recording, path: str | os.PathLike) -> None:
             html = _recorded(server, recording, bodies)
         finally:
             server.stop()
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(html, encoding="utf-8")
 
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from deepfracture.geometry.rotations import quat_from_matrix, quat_multiply, rotation_matrix
-from deepfracture.runtime.extras import pip_line
-from deepfracture.runtime.files import scratch
+from deepfracture.runtime.extras import pip_command
+from deepfracture.runtime.files import scratch_folder
 from deepfracture.types import BadInput, Floats
 from deepfracture.world.engine import FLOOR_DEPTH, FLOOR_REACH, ROLLING, TURNING, Contact, Mass, Motion, Surface
 
@@ -50,7 +50,7 @@ class Bullet:
             import pybullet
         except ImportError as error:
             raise BadInput(
-                f"engine 'bullet' needs pybullet (Linux, Python <= 3.11: {pip_line('bullet')}); "
+                f"engine 'bullet' needs pybullet (Linux, Python <= 3.11: {pip_command('bullet')}); "
                 "use engine 'rapier' instead"
             ) from error
         self._api: Any = pybullet
@@ -76,7 +76,7 @@ class Bullet:
         """Bullet's number of each body; Bullet gives a number again once its body is gone, we do not."""
         self._bodies: dict[int, int] = {}
         self._opened = ExitStack()
-        self._folder = self._opened.enter_context(scratch())
+        self._folder = self._opened.enter_context(scratch_folder())
         self._files = count()
         self._count = count()
 

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Floats
 
 ENGINES = ("bullet", "rapier")
@@ -141,4 +141,4 @@ def open_engine(name: str, *, gravity: float, surface: Surface) -> Engine:
         from deepfracture.world.rapier import Rapier
 
         return Rapier(gravity, surface)
-    raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {name!r}{meant(name, ENGINES)}")
+    raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {name!r}{did_you_mean(name, ENGINES)}")

@@ -16,7 +16,7 @@ import numpy as np
 
 from deepfracture.geometry.convex.hulls import whole_hulls
 from deepfracture.geometry.rotations import quat_from_matrix, quat_multiply, rotation_matrix
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Floats, Mesh, Shape
 from deepfracture.world.scene import STEEL, Ball, Block, Placed, Scene, Vector
 
@@ -50,7 +50,7 @@ def draw_scene(
 
     BadInput if there is no such kind, or if balls do not start outside the shape."""
     if kind not in KINDS:
-        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {kind!r}{meant(kind, KINDS)}")
+        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {kind!r}{did_you_mean(kind, KINDS)}")
     if kind == "single":
         return learning_scene(shape.name, shape, rng, material=material, speed=speed)
     _check_outside(shape, RADIUS, DISTANCE)

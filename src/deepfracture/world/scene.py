@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from deepfracture.geometry.rotations import rotation_matrix
-from deepfracture.runtime.files import replacing
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.files import atomic_file
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Floats, Shape, Touch
 from deepfracture.world.engine import ENGINES
 
@@ -175,7 +175,7 @@ class Scene:
                 f"or {MOST_STEPS} steps"
             )
         if not isinstance(self.engine, str) or self.engine not in ENGINES:
-            near = meant(str(self.engine), ENGINES)
+            near = did_you_mean(str(self.engine), ENGINES)
             raise BadInput(f"engine must be one of {', '.join(ENGINES)}, got {_shown(self.engine)}{near}")
         if self.again not in ("anything", "balls"):
             raise BadInput(f"again must be anything or balls, got {_shown(self.again)}")
@@ -232,7 +232,7 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
         raise BadInput(f"{path}: a scene is a .toml or .json file")
     data = {key: value for key, value in asdict(scene).items() if value is not None}
     text = _toml(data) if path.suffix == ".toml" else json.dumps(data, indent=2) + "\n"
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -328,7 +328,7 @@ def _known(cls: type, data: Any, where: str) -> dict[str, Any]:
     for key in data:
         if key not in names:
             raise BadInput(
-                f"{where} has an unknown field {_shown(key)}; it may have {', '.join(names)}{meant(key, names)}"
+                f"{where} has an unknown field {_shown(key)}; it may have {', '.join(names)}{did_you_mean(key, names)}"
             )
     blank = cls.__dataclass_fields__
     for name in names:

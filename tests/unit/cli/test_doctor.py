@@ -43,7 +43,7 @@ def test_the_advice_is_one_line() -> None:
 def test_what_is_installed_here_works(capsys: pytest.CaptureFixture[str]) -> None:
     main(["doctor"])
     lines = capsys.readouterr().out.splitlines()
-    named = [one for one in parts() if extras.has(one.module)]
+    named = [one for one in parts() if extras.is_installed(one.module)]
     assert len(named) >= 5
     for one in named:
         (line,) = [line for line in lines if line.startswith(f"{one.name:<10} ")]
@@ -68,7 +68,7 @@ def test_kernels_are_counted_by_file() -> None:
 def test_without_the_libraries_everything_is_missing(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(doctor, "has", lambda module: module == "rapier3d")
+    monkeypatch.setattr(doctor, "is_installed", lambda module: module == "rapier3d")
     main(["doctor"])
     out = capsys.readouterr().out
     prescription = out.rstrip().splitlines()[-1]

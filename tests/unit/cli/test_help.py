@@ -146,7 +146,7 @@ def test_progress_shows_the_time_left_on_a_terminal(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(progress, "PATIENCE", 0.2)
     monkeypatch.setenv("TERM", "xterm")
-    progress.hush(False)
+    progress.disable_progress(False)
     for _ in track(range(12), name="twelve steps"):
         time.sleep(0.1)
     drawn = screen.getvalue()

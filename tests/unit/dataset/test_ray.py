@@ -52,7 +52,7 @@ def test_an_error_that_is_no_entrys_comes_back_in_one_piece(cluster: OnRay, tmp_
 
 
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    there = extras.has
-    monkeypatch.setattr(extras, "has", lambda module: module != "ray" and there(module))
+    there = extras.is_installed
+    monkeypatch.setattr(extras, "is_installed", lambda module: module != "ray" and there(module))
     with pytest.raises(BadInput, match=r"ray is needed .* pip install 'deepfracture\[ray\]'"):
         run(tmp_path / "set", OnRay("auto", None))

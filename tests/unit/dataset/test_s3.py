@@ -154,7 +154,7 @@ def test_a_bucket_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_what_reads_buckets_is_named_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = extras.has
-    monkeypatch.setattr(extras, "has", lambda module: module != "obstore" and there(module))
+    there = extras.is_installed
+    monkeypatch.setattr(extras, "is_installed", lambda module: module != "obstore" and there(module))
     with pytest.raises(BadInput, match=r"obstore is needed .* pip install 'deepfracture\[s3\]'"):
         open_dataset("s3://data/sets/one")

@@ -10,7 +10,7 @@ import trimesh
 
 from deepfracture.export import write_fragments
 from deepfracture.geometry import faults, load_shape
-from deepfracture.runtime.files import replacing, replacing_folder
+from deepfracture.runtime.files import atomic_file, atomic_folder
 from deepfracture.types import Finish, Shape
 
 tools = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "recordings.py"))
@@ -52,10 +52,10 @@ def test_a_failure_leaves_what_was_there(tmp_path):
     (tmp_path / "a.txt").write_text("old")
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "kept").write_text("old")
-    with pytest.raises(RuntimeError), replacing(tmp_path / "a.txt") as temporary:
+    with pytest.raises(RuntimeError), atomic_file(tmp_path / "a.txt") as temporary:
         temporary.write_text("half")
         raise RuntimeError
-    with pytest.raises(RuntimeError), replacing_folder(tmp_path / "d") as temporary:
+    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "d") as temporary:
         (temporary / "new").write_text("half")
         raise RuntimeError
     assert (tmp_path / "a.txt").read_text() == "old"

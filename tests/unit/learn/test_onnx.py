@@ -137,7 +137,7 @@ def test_the_command_writes_it_and_refuses_others(tmp_path: Path, capsys: pytest
 def test_without_the_library_it_is_one_line(model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from deepfracture.runtime import extras
 
-    monkeypatch.setattr(extras, "has", lambda module: module != "onnx")
+    monkeypatch.setattr(extras, "is_installed", lambda module: module != "onnx")
     with pytest.raises(BadInput, match=r"pip install 'deepfracture\[onnx\]'"):
         export_onnx(model, tmp_path / "pot.onnx")
     assert not list(tmp_path.iterdir())

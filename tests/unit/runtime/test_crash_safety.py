@@ -23,8 +23,8 @@ from deepfracture.export import write_fragments, write_glb, write_sequence, writ
 from deepfracture.learn.checkpoint import write
 from deepfracture.render import write_film
 from deepfracture.runtime import files, lock
-from deepfracture.runtime.files import advice, filling, replacing, replacing_folder, scratch
-from deepfracture.runtime.lock import alone
+from deepfracture.runtime.files import atomic_contents, atomic_file, atomic_folder, explain_write_error, scratch_folder
+from deepfracture.runtime.lock import exclusive
 from deepfracture.types import BadInput, Shape
 from deepfracture.world import Placed, Scene, save_scene
 
@@ -53,14 +53,14 @@ def test_a_killed_writer_leaves_the_former_file_and_the_next_one_sweeps(tmp_path
     path.write_text("old")
 
     def half() -> None:
-        with replacing(path) as temporary:
+        with atomic_file(path) as temporary:
             temporary.write_text("ha")
             die()
 
     killed(half)
     assert path.read_text() == "old"
     assert len(names(tmp_path)) == 2
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
     assert names(tmp_path) == ["a.txt"]
@@ -72,13 +72,13 @@ def test_a_killed_writer_leaves_the_former_folder(tmp_path: Path) -> None:
     (folder / "kept").write_text("old")
 
     def half() -> None:
-        with replacing_folder(folder) as temporary:
+        with atomic_folder(folder) as temporary:
             (temporary / "new").write_text("ha")
             die()
 
     killed(half)
     assert names(folder) == ["kept"]
-    with replacing_folder(folder) as temporary:
+    with atomic_folder(folder) as temporary:
         (temporary / "new").write_text("whole")
     assert names(folder) == ["new"] and names(tmp_path) == ["d"]
 
@@ -93,25 +93,25 @@ def test_where_folders_cannot_be_swapped_at_once_a_killed_one_is_put_back(tmp_pa
 
     def half() -> None:
         monkeypatch.setattr(os, "replace", lambda one, other: die() if Path(other) == folder else move(one, other))
-        with replacing_folder(folder) as temporary:
+        with atomic_folder(folder) as temporary:
             (temporary / "new").write_text("whole")
 
     killed(half)
     assert not folder.exists()
-    files.sweep(tmp_path)
+    files.remove_stale(tmp_path)
     assert names(folder) == ["kept"] and names(tmp_path) == ["d"]
-    with replacing_folder(folder) as temporary:
+    with atomic_folder(folder) as temporary:
         (temporary / "new").write_text("whole")
     assert names(folder) == ["new"] and names(tmp_path) == ["d"]
 
 
 def test_what_a_living_process_writes_is_not_swept(tmp_path: Path) -> None:
-    with replacing(tmp_path / "a.txt") as temporary:
+    with atomic_file(tmp_path / "a.txt") as temporary:
         temporary.write_text("mine")
-        child = fork.Process(target=files.sweep, args=(tmp_path,))
+        child = fork.Process(target=files.remove_stale, args=(tmp_path,))
         child.start()
         child.join(20)
-        files.sweep(tmp_path)
+        files.remove_stale(tmp_path)
     assert (tmp_path / "a.txt").read_text() == "mine"
 
 
@@ -121,7 +121,7 @@ def test_a_process_killed_while_it_made_its_folder_is_swept_too(tmp_path: Path, 
     left.mkdir()
     if when == "with an empty lock":
         (left / files.LOCK).touch()
-    with scratch(tmp_path):
+    with scratch_folder(tmp_path):
         pass
     assert not names(tmp_path)
 
@@ -132,7 +132,7 @@ def test_a_link_that_is_called_like_a_leftover_is_let_be(tmp_path: Path) -> None
     (precious / files.NEW / "file").write_text("dear")
     (precious / files.LOCK).touch()
     (tmp_path / f"{files.PREFIX}link").symlink_to(precious)
-    files.sweep(tmp_path)
+    files.remove_stale(tmp_path)
     assert (precious / files.NEW / "file").read_text() == "dear"
 
 
@@ -148,7 +148,7 @@ def test_a_folder_is_filled_with_the_last_file_last(tmp_path: Path, monkeypatch)
         move(one, other)
 
     monkeypatch.setattr(os, "replace", moved)
-    with filling(tmp_path, last="report") as temporary:
+    with atomic_contents(tmp_path, last="report") as temporary:
         for name in ("report", "a", "b"):
             (temporary / name).write_text("new")
         assert (tmp_path / "a").read_text() == (tmp_path / "report").read_text() == "old"
@@ -158,7 +158,7 @@ def test_a_folder_is_filled_with_the_last_file_last(tmp_path: Path, monkeypatch)
 
 def test_a_failure_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "report").write_text("old")
-    with pytest.raises(RuntimeError), filling(tmp_path, last="report") as temporary:
+    with pytest.raises(RuntimeError), atomic_contents(tmp_path, last="report") as temporary:
         (temporary / "report").write_text("new")
         raise RuntimeError
     assert names(tmp_path) == ["report"] and (tmp_path / "report").read_text() == "old"
@@ -170,7 +170,7 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
 def test_the_second_process_is_refused_in_one_line_and_the_third_may(tmp_path: Path) -> None:
     def second() -> None:
         try:
-            with alone(tmp_path):
+            with exclusive(tmp_path):
                 os._exit(0)
         except BadInput as refused:
             assert "\n" not in str(refused) and str(os.getppid()) in str(refused)
@@ -179,7 +179,7 @@ def test_the_second_process_is_refused_in_one_line_and_the_third_may(tmp_path: P
     for expected in (2, 0):
         child = fork.Process(target=second)
         if expected == 2:
-            with alone(tmp_path):
+            with exclusive(tmp_path):
                 child.start()
                 child.join(20)
         else:
@@ -190,12 +190,12 @@ def test_the_second_process_is_refused_in_one_line_and_the_third_may(tmp_path: P
 
 def test_the_lock_of_a_dead_process_does_not_hold(tmp_path: Path) -> None:
     def dies() -> None:
-        with alone(tmp_path):
+        with exclusive(tmp_path):
             die()
 
     killed(dies)
     assert names(tmp_path) == [lock.NAME]
-    with alone(tmp_path):
+    with exclusive(tmp_path):
         pass
     assert not names(tmp_path)
 
@@ -207,7 +207,7 @@ def test_many_processes_take_turns_and_none_is_in_at_once(tmp_path: Path) -> Non
         done = 0
         while done < 40:
             try:
-                with alone(tmp_path / "d"):
+                with exclusive(tmp_path / "d"):
                     handle = os.open(tmp_path / "in", os.O_CREAT | os.O_EXCL)  # fails if another one is in
                     os.close(handle)
                     os.unlink(tmp_path / "in")
@@ -224,7 +224,7 @@ def test_many_processes_take_turns_and_none_is_in_at_once(tmp_path: Path) -> Non
 
 
 def test_two_threads_are_two(tmp_path: Path) -> None:
-    with alone(tmp_path), pytest.raises(BadInput, match="writing"), alone(tmp_path):
+    with exclusive(tmp_path), pytest.raises(BadInput, match="writing"), exclusive(tmp_path):
         pass
 
 
@@ -233,7 +233,7 @@ def test_commands_refuse_a_folder_that_another_one_is_at(words: tuple[str, ...],
     if words[0] == "train":
         pytest.importorskip("torch")
         words = ("train", str(dataset(tmp_path / "data")), "--epochs", "1", "--out")
-    with alone(tmp_path / "out"), pytest.raises(SystemExit) as ended:
+    with exclusive(tmp_path / "out"), pytest.raises(SystemExit) as ended:
         main([*words, str(tmp_path / "out")])
     assert ended.value.code == 2
     assert capsys.readouterr().err.count("another process") == 1
@@ -281,24 +281,24 @@ def test_a_full_disk_ends_in_one_line_and_keeps_what_was_there(name: str, tmp_pa
     with files_end_at(400), pytest.raises(OSError) as problem:
         write_it(path)
     assert problem.value.errno == errno.EFBIG
-    line = advice(problem.value)
+    line = explain_write_error(problem.value)
     assert line is not None and line.startswith(f"{path}: ") and "\n" not in line
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
 
 @pytest.mark.parametrize("number", sorted(files.ADVICE))
 def test_each_reason_names_the_file_and_what_to_do(number: int, tmp_path: Path) -> None:
-    with pytest.raises(OSError) as problem, replacing(tmp_path / "a"):
+    with pytest.raises(OSError) as problem, atomic_file(tmp_path / "a"):
         raise OSError(number, os.strerror(number))
-    line = advice(problem.value)
+    line = explain_write_error(problem.value)
     assert line is not None and str(tmp_path / "a") in line and "use" in line
     assert not names(tmp_path)
 
 
 def test_errors_that_are_not_about_the_disk_stay_what_they_are(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "a"):
+    with pytest.raises(ZeroDivisionError), atomic_file(tmp_path / "a"):
         raise ZeroDivisionError
-    with pytest.raises(FileNotFoundError), replacing(tmp_path / "a"):
+    with pytest.raises(FileNotFoundError), atomic_file(tmp_path / "a"):
         (tmp_path / "absent").read_text()
     assert not names(tmp_path)
 
@@ -350,13 +350,13 @@ def test_a_read_only_folder_ends_in_one_line(tmp_path: Path) -> None:
             with writer() as temporary:
                 temporary.write_text("new")
         except OSError as problem:
-            line = advice(problem) or ""
+            line = explain_write_error(problem) or ""
             os._exit(7 if line.startswith(f"{named}: ") and "permission denied" in line else 8)
         os._exit(9)
 
     for case in (
-        (lambda: replacing(tmp_path / "kept"), tmp_path / "kept"),
-        (lambda: alone(tmp_path), tmp_path),
+        (lambda: atomic_file(tmp_path / "kept"), tmp_path / "kept"),
+        (lambda: exclusive(tmp_path), tmp_path),
     ):
         child = fork.Process(target=write_there, args=case)
         child.start()

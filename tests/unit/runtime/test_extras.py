@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from deepfracture.runtime import extras
-from deepfracture.runtime.extras import has, left_out, need, pip_line
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.extras import is_installed, pip_command, require, skip_unless_installed
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 
 if sys.version_info >= (3, 11):
@@ -42,13 +42,13 @@ BASE = {declared(line) for line in PROJECT["dependencies"]}
 
 
 def test_what_is_there_is_returned() -> None:
-    assert need("json.decoder", extra="play", to="play").JSONDecodeError
-    assert has("json") and not has("no_such_library") and not has("no_such_library.part")
+    assert require("json.decoder", extra="play", to="play").JSONDecodeError
+    assert is_installed("json") and not is_installed("no_such_library") and not is_installed("no_such_library.part")
 
 
 def test_what_is_missing_is_one_line_with_the_remedy() -> None:
     with pytest.raises(BadInput) as caught:
-        need("no_such_library.part", extra="play", to="play in the browser")
+        require("no_such_library.part", extra="play", to="play in the browser")
     assert str(caught.value) == (
         "no_such_library is needed to play in the browser and is not installed: pip install 'deepfracture[play]'"
     )
@@ -58,14 +58,14 @@ def test_what_does_not_load_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "torn_library.py").write_text("raise ImportError('libGL.so.1: no such file\\nsecond line')")
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(BadInput, match=r"does not load \(libGL.so.1: no such file\)") as caught:
-        need("torn_library", extra="render", to="draw")
+        require("torn_library", extra="render", to="draw")
     assert "\n" not in str(caught.value)
 
 
 def test_a_file_is_left_out_with_one_line(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "deepfracture"):
-        assert left_out("film.mp4", "no_such_library", extra="render")
-        assert not left_out("film.mp4", "json", extra="render")
+        assert skip_unless_installed("film.mp4", "no_such_library", extra="render")
+        assert not skip_unless_installed("film.mp4", "json", extra="render")
     assert caplog.messages == ["film.mp4 left out: pip install 'deepfracture[render]' makes it"]
 
 
@@ -76,7 +76,7 @@ def test_every_extra_that_is_named_exists() -> None:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 named = [word.value for word in node.keywords if word.arg == "extra"]
-                if node.func.id == "pip_line":
+                if node.func.id == "pip_command":
                     named += node.args
                 found += [(path.name, n.value) for n in named if isinstance(n, ast.Constant)]
     assert len(found) > 8
@@ -100,8 +100,10 @@ def test_shatter_without_viser_and_ffmpeg_leaves_two_files_out(
 ) -> None:
     from deepfracture.cli import main
 
-    there = extras.has
-    monkeypatch.setattr(extras, "has", lambda module: module not in ("viser", "imageio_ffmpeg") and there(module))
+    there = extras.is_installed
+    monkeypatch.setattr(
+        extras, "is_installed", lambda module: module not in ("viser", "imageio_ffmpeg") and there(module)
+    )
     main(["shatter", "bar", "--breaker", "voronoi", "--resolution", "32", "--speed", "16", "--out", str(tmp_path)])
     assert not (tmp_path / "animation.html").exists() and not (tmp_path / "animation.mp4").exists()
     assert (tmp_path / "animation.glb").stat().st_size > 1000 and (tmp_path / "picture.png").exists()
@@ -112,7 +114,7 @@ def test_shatter_without_viser_and_ffmpeg_leaves_two_files_out(
 def test_data_sets_without_zarr_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from deepfracture.dataset import open_dataset
 
-    monkeypatch.setattr(extras, "has", lambda module: module != "zarr")
+    monkeypatch.setattr(extras, "is_installed", lambda module: module != "zarr")
     with pytest.raises(BadInput, match=r"zarr is needed .* pip install 'deepfracture\[data\]'"):
         open_dataset(tmp_path)
 
@@ -121,11 +123,11 @@ def test_data_sets_without_zarr_are_one_line(tmp_path: Path, monkeypatch: pytest
     ("word", "said"), [("plastre", "; did you mean 'plaster'?"), ("GLASS", "; did you mean 'glass'?"), ("xyzzy", "")]
 )
 def test_the_nearest_word_is_offered(word: str, said: str) -> None:
-    assert meant(word, ("glass", "plaster", "stone")) == said
+    assert did_you_mean(word, ("glass", "plaster", "stone")) == said
 
 
 def test_pip_line_names_all() -> None:
-    assert pip_line("usd", "play") == "pip install 'deepfracture[usd,play]'"
+    assert pip_command("usd", "play") == "pip install 'deepfracture[usd,play]'"
 
 
 def test_every_dependency_has_its_licence_told() -> None:

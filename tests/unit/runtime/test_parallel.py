@@ -11,7 +11,13 @@ from deepfracture.carve import cut
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.learn import embedded_model, load_model, predict
 from deepfracture.runtime import parallel as threads
-from deepfracture.runtime.parallel import apportion, one_blas_thread, product, spread, together
+from deepfracture.runtime.parallel import (
+    parallel_for,
+    parallel_invoke,
+    parallel_map,
+    parallel_matmul,
+    single_threaded_blas,
+)
 from deepfracture.types import FracturePattern, Grid, Impact
 
 
@@ -30,30 +36,30 @@ def flat(parts: list[list[int]]) -> list[int]:
 
 @pytest.mark.parametrize(("count", "least"), [(0, 1), (1, 1), (7, 1), (1000, 10), (10, 100)])
 def test_parts_are_consecutive_and_in_order(count: int, least: int) -> None:
-    parts = spread(span, count, least=least)
+    parts = parallel_for(span, count, least=least)
     assert flat(parts) == list(range(count))
     assert count < 2 * least or len(parts) > 1
 
 
 @pytest.mark.parametrize("sizes", [[], [3.0], [1.0, 100.0, 1.0, 1.0], [float(n % 7) for n in range(40)]])
 def test_what_is_apportioned_comes_in_order(sizes: list[float]) -> None:
-    assert apportion(lambda n: (n, sizes[n]), sizes) == list(enumerate(sizes))
+    assert parallel_map(lambda n: (n, sizes[n]), sizes) == list(enumerate(sizes))
 
 
 def test_the_largest_does_not_wait_behind_the_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "_shared", lambda jobs, _: [job() for job in jobs])  # in the order of their turns
     order: list[int] = []
-    apportion(order.append, [1.0] * 30 + [50.0])
+    parallel_map(order.append, [1.0] * 30 + [50.0])
     assert order[0] == 30 and sorted(order) == list(range(31))
 
 
 def test_a_product_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     rows, matrix = rng.normal(size=(5000, 96)).astype(np.float32), rng.normal(size=(96, 30)).astype(np.float32)
-    found = product(rows, matrix)
+    found = parallel_matmul(rows, matrix)
     assert np.allclose(found, rows @ matrix, atol=1e-3)
     monkeypatch.setattr(threads, "thread_count", lambda: 1)
-    assert product(rows, matrix).tobytes() == found.tobytes()
+    assert parallel_matmul(rows, matrix).tobytes() == found.tobytes()
 
 
 def test_matrices_leave_the_other_threads_alone_only_while_asked() -> None:
@@ -63,14 +69,14 @@ def test_matrices_leave_the_other_threads_alone_only_while_asked() -> None:
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
     before = blas()
-    with one_blas_thread():
+    with single_threaded_blas():
         assert set(blas()) == {1}
     assert blas() == before
 
 
 def test_a_helper_that_has_gone_to_sleep_comes_again() -> None:
     for wait in (0.0, 0.0005, 0.002, 0.01) * 20:  # it stays awake for about a millisecond
-        assert flat(spread(span, 9, least=1)) == list(range(9))
+        assert flat(parallel_for(span, 9, least=1)) == list(range(9))
         time.sleep(wait)
 
 
@@ -81,7 +87,7 @@ def test_several_threads_take_part() -> None:
         meet.wait()  # only two threads at once get past this
         return threading.current_thread().name
 
-    one, other = together(job, job)
+    one, other = parallel_invoke(job, job)
     assert one != other
 
 
@@ -93,22 +99,22 @@ def test_a_failure_in_any_part_comes_out() -> None:
                 raise ArithmeticError(f"part {bad}")
 
         with pytest.raises(ArithmeticError, match=f"part {bad}"):
-            spread(job, 9, least=1)
-    assert flat(spread(span, 9, least=1)) == list(range(9))  # and the threads are still there
+            parallel_for(job, 9, least=1)
+    assert flat(parallel_for(span, 9, least=1)) == list(range(9))  # and the threads are still there
 
 
 def test_shared_work_inside_shared_work_does_not_wait_for_itself() -> None:
-    parts = spread(lambda first, last: flat(spread(span, last - first, least=1)), 9, least=1)
+    parts = parallel_for(lambda first, last: flat(parallel_for(span, last - first, least=1)), 9, least=1)
     assert [len(part) for part in parts] == [1] * 9
 
 
 def _forked(queue: "multiprocessing.Queue") -> None:
-    queue.put(flat(spread(span, 9, least=1)))
+    queue.put(flat(parallel_for(span, 9, least=1)))
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
 def test_a_forked_process_has_threads_of_its_own() -> None:
-    spread(span, 9, least=1)
+    parallel_for(span, 9, least=1)
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
     child = context.Process(target=_forked, args=(queue,))
@@ -145,6 +151,6 @@ def test_a_prediction_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyP
 
 
 def test_uneven_work_comes_in_more_parts() -> None:
-    even, uneven = spread(span, 5000, least=1), spread(span, 5000, least=1, uneven=True)
+    even, uneven = parallel_for(span, 5000, least=1), parallel_for(span, 5000, least=1, uneven=True)
     assert flat(even) == flat(uneven) == list(range(5000))
     assert len(uneven) > 2 * len(even)

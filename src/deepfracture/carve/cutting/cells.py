@@ -7,7 +7,7 @@ from numba import njit
 
 from deepfracture.carve.cutting.mesh_on_grid import Ground
 from deepfracture.carve.segmentation.components import connected_labels
-from deepfracture.runtime.parallel import spread
+from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import FracturePattern, Ints, Labels
 
 
@@ -21,7 +21,7 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
     along an edge has no manifold surface."""
     # Made here and not in a kernel: numpy asks for large pages, which halves the time of all that follows.
     labels = np.zeros(ground.inside.shape, np.int32)
-    left = spread(
+    left = parallel_for(
         lambda first, last: _on_ground(pattern.labels, ground.spans, labels, first, last), len(ground.spans), least=512
     )  # fmt: skip
     empty = np.concatenate(left)
@@ -33,9 +33,9 @@ def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]
         left = np.zeros(labels.shape, np.int32)
         left.flat[empty] = 1
         labels = np.where(left > 0, labels.max() + connected_labels(left), labels)
-    found = spread(lambda first, last: _edges(labels, ground.reach, first, last), len(ground.reach), least=1024)
+    found = parallel_for(lambda first, last: _edges(labels, ground.reach, first, last), len(ground.reach), least=1024)
     edges = np.concatenate(found)
-    faulty = spread(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=8192)
+    faulty = parallel_for(lambda first, last: _diagonals(labels, edges, first, last), len(edges), least=8192)
     changed = _join_diagonals(labels, edges, np.concatenate(faulty))
     if len(changed):
         edges = _renewed(labels, edges, changed, np.zeros(labels.size, np.bool_))
@@ -61,7 +61,7 @@ def _on_ground(source, spans, labels, first, last):
 def _grown(labels: Labels, empty: Ints) -> Ints:
     """Write the labels that empty voxels take over from their neighbours, all at once; those that are still empty."""
     found = np.zeros(len(empty), np.int32)
-    spread(lambda first, last: _grow(labels, empty, found, first, last), len(empty), least=2048)
+    parallel_for(lambda first, last: _grow(labels, empty, found, first, last), len(empty), least=2048)
     labels.reshape(-1)[empty] = found
     return empty[found == 0]
 

@@ -15,7 +15,7 @@ from deepfracture.carve.cutting.shells import Solid
 from deepfracture.carve.cutting.short_edges import without_short_edges
 from deepfracture.carve.cutting.solids import Faces, solids
 from deepfracture.geometry import moments, properties_of
-from deepfracture.runtime.parallel import together
+from deepfracture.runtime.parallel import parallel_invoke
 from deepfracture.runtime.progress import stage
 from deepfracture.types import (
     BadInput,
@@ -87,7 +87,7 @@ def cut(shape: Shape, pattern: FracturePattern, *, density: float, roughness: fl
 def _pieces(mesh: Mesh, grid: Grid, ground: Ground, labels: Labels, sheets: Sheets) -> list[Solid]:
     with stage("cross"):
         crossing = cross(ground, sheets)
-        cells, walls = together(
+        cells, walls = parallel_invoke(
             lambda: surface_cells(ground, sheets, crossing, labels), lambda: sheet_walls(ground, sheets, crossing)
         )
     with stage("divide"):

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.runtime.parallel import spread
+from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import Floats, FracturePattern, Ints, Labels
 
 SMOOTHING_STEPS = 3
@@ -67,7 +67,7 @@ def crack_sheets(
     start, trusted = np.zeros((len(cubes) + 1, 3)), np.empty(len(cubes))
     links = np.empty((len(cubes), 6), np.int32)
     plain, odd = np.empty(len(cubes), np.bool_), np.empty(len(cubes), np.bool_)
-    spread(
+    parallel_for(
         lambda first, last: _place(
             labels, pattern.labels, pattern.distance, low, cubes, number, start, trusted, links, plain, odd, first,
             last,
@@ -82,12 +82,12 @@ def crack_sheets(
     jitter = _jitter(seed, 1 << (len(points) + len(edges)).bit_length())
     points += jitter[: len(points)]
     turns = np.empty(len(edges), np.int8)
-    spread(lambda first, last: _turns(points, around, edges, turns, first, last), len(edges), least=2048)
+    parallel_for(lambda first, last: _turns(points, around, edges, turns, first, last), len(edges), least=2048)
     quads, middles = _starts(turns)
     every = np.empty((len(points) + middles[-1], 3))
     every[: len(points)] = points
     triangles, sides = np.empty((quads[-1], 3), np.int64), np.empty((quads[-1], 2), np.int32)
-    spread(
+    parallel_for(
         lambda first, last: _triangles(
             labels, points, around, edges, turns, jitter[len(points) :], quads, middles, len(points), every, triangles,
             sides, first, last,
@@ -255,7 +255,7 @@ def _relaxed(start: Floats, trusted: Floats, links: Labels, odd: NDArray[np.bool
     black), which comes twice as far as all at once and may be shared by threads all the same."""
     points = start.copy()
     for half in [False, True] * SMOOTHING_STEPS:
-        spread(partial(_relax, points, start, trusted, links, odd, half), len(links), least=4096)
+        parallel_for(partial(_relax, points, start, trusted, links, odd, half), len(links), least=4096)
     return points[:-1]
 
 

@@ -10,7 +10,7 @@ from numba import njit
 from deepfracture.carve.cutting.interfaces import Sheets
 from deepfracture.carve.cutting.mesh_on_grid import Ground
 from deepfracture.carve.cutting.predicates import side, volume
-from deepfracture.runtime.parallel import spread, together
+from deepfracture.runtime.parallel import parallel_for, parallel_invoke
 from deepfracture.types import Floats, Ints
 
 OUTSIDE, INSIDE = 1, 2
@@ -114,7 +114,7 @@ def edge_at(table, edges, code):
 def cross(ground: Ground, sheets: Sheets) -> Crossing:
     """All crossings of sheets and surface. Raises NotGeneral if they cannot be told exactly."""
     start, members = _members(sheets.number, len(sheets.cubes), ground.cubes, ground.touching)
-    found = spread(
+    found = parallel_for(
         lambda first, last: _segments(
             ground.points, ground.faces, ground.edge_of, sheets.points, sheets.triangles, sheets.quads, sheets.around,
             start, members, first, last,
@@ -126,7 +126,7 @@ def cross(ground: Ground, sheets: Sheets) -> Crossing:
     segments = np.concatenate([part for _, part in found])
     node, nodes = _nodes(segments)
     ends, share, sides = np.empty((len(nodes), 2), np.int64), np.empty(len(nodes)), np.empty((len(nodes), 2), np.int64)
-    spread(
+    parallel_for(
         lambda first, last: _placed(
             ground.points, ground.faces, ground.edges, sheets.points, sheets.triangles, sheets.sides, nodes,
             ends, share, sides, first, last,
@@ -142,7 +142,7 @@ def cross(ground: Ground, sheets: Sheets) -> Crossing:
         ends, on_surface, share,
         Segments(face, tail, head, below, above),
         Segments(triangle, tail, head, np.full_like(below, OUTSIDE), np.full_like(below, INSIDE)),
-        *together(
+        *parallel_invoke(
             lambda: _along(np.flatnonzero(on_surface), ~nodes[on_surface, 0], share, sides),
             lambda: _along(np.flatnonzero(~on_surface), nodes[~on_surface, 0], share, sides),
         ),

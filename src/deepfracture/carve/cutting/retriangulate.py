@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.carve.cutting.intersect import EdgeNodes, NotGeneral, Segments, edge_at, edge_table
-from deepfracture.runtime.parallel import spread
+from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import Floats, Ints
 
 Flags = NDArray[np.bool_]
@@ -73,7 +73,7 @@ def divide(surface: Surface, positions: Floats, *, unwanted: int) -> Division:
             corners, of = _with_holes(loops, loop_start, flat, label, parent, bounded, label != unwanted)
         return corners, label[of], names[first:last][parent[of]]
 
-    parts = spread(part, len(names), least=256)
+    parts = parallel_for(part, len(names), least=256)
     return Division(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from deepfracture.carve.cutting.intersect import NotGeneral
 from deepfracture.carve.segmentation.regions import root
 from deepfracture.geometry import moments
-from deepfracture.runtime.parallel import apportion
+from deepfracture.runtime.parallel import parallel_map
 from deepfracture.types import Floats, Ints, Mesh
 
 Flags = NDArray[np.bool_]
@@ -78,7 +78,7 @@ def surfaces_of(
         solid = Solid(Mesh(vertices, turned), come_from, *moments(vertices, turned, vertices[0]))
         return fine, first, np.array([solid.volume]), [solid]
 
-    found = apportion(close, np.diff(start).tolist())
+    found = parallel_map(close, np.diff(start).tolist())
     if not all(fine for fine, *_ in found):
         raise NotGeneral
     shells = np.array([len(first) for _, first, *_ in found])
@@ -226,8 +226,8 @@ def twins(
     twin = np.empty(3 * len(corners), np.int32)
     owned = [surfaces.order[surfaces.start[n] : surfaces.start[n + 1]] for n in cells]
     sizes = [len(own) for own in owned]
-    apportion(lambda n: pair(corners, owned[n], plain, twin), sizes)
-    apportion(lambda n: _bridge(corners, owned[n], plain, goes, outer, inner, twin), sizes)
+    parallel_map(lambda n: pair(corners, owned[n], plain, twin), sizes)
+    parallel_map(lambda n: _bridge(corners, owned[n], plain, goes, outer, inner, twin), sizes)
     return twin
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.cutting.intersect import over, pierces
 from deepfracture.carve.cutting.solids import Faces
-from deepfracture.runtime.parallel import spread, together
+from deepfracture.runtime.parallel import parallel_for, parallel_invoke
 from deepfracture.types import Floats, Ints
 
 Flags = NDArray[np.bool_]
@@ -32,7 +32,9 @@ def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_fro
     source. An edge goes only if the cells on both sides of it remain what they were: every cell that meets at one of
     its points meets along all of it, and no two faces become one (link condition, Dey et al. 1999). Only edges at the
     points from `nodes_from` on are looked at, where cracks cross the surface."""
-    of_outer, of_inner = together(lambda: _near(faces.outer, faces.plain), lambda: _near(faces.inner, faces.plain))
+    of_outer, of_inner = parallel_invoke(
+        lambda: _near(faces.outer, faces.plain), lambda: _near(faces.inner, faces.plain)
+    )
     corners, sides, source = _gathered(
         faces.outer, faces.source, faces.cell, of_outer, faces.inner, faces.sides, of_inner
     )  # fmt: skip
@@ -44,7 +46,7 @@ def without_short_edges(faces: Faces, shortest: float, originals: int, nodes_fro
         changed = True
     if not changed:
         return faces
-    (outer, beside), (inner, sides) = together(
+    (outer, beside), (inner, sides) = parallel_invoke(
         lambda: _put_back(faces.outer, (faces.source, faces.cell), of_outer, corners[: len(of_outer)]),
         lambda: _put_back(faces.inner, (faces.sides[:, 0], faces.sides[:, 1]), of_inner, corners[len(of_outer) :]),
     )
@@ -99,7 +101,7 @@ def _short_edges(positions: Floats, corners: Ints, shortest: float, nodes_from: 
     """Edges at a node below the length, the shortest first, the lower point first, shape (s, 2).
 
     Only those at points of `news`: what could not go keeps its reasons until a face around it changes."""
-    found = spread(
+    found = parallel_for(
         lambda first, last: _short(positions, corners, shortest, nodes_from, news, first, last),
         len(corners), least=4096,
     )  # fmt: skip
@@ -139,7 +141,7 @@ def _collapsed(
     points with a face one of whose points has had a face changed."""
     slot, start, around = _faces_around(len(positions), corners, short)
     choice = np.empty(len(short), np.int8)
-    spread(
+    parallel_for(
         lambda first, last: _choose(
             positions, corners, sides, source, short, shortest, sheets, slot, start, around, choice, first, last
         ),

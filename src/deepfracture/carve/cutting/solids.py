@@ -10,7 +10,7 @@ from numba import njit
 from deepfracture.carve.cutting.shells import Flags, Marks, Solid, by_number, half_faces, meshed, surfaces_of, twins
 from deepfracture.carve.cutting.small_components import solids_of_shells
 from deepfracture.geometry import moments
-from deepfracture.runtime.parallel import apportion, spread
+from deepfracture.runtime.parallel import parallel_for, parallel_map
 from deepfracture.types import Floats, Ints, Mesh
 
 
@@ -51,7 +51,7 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
     """The solids, and the edges, as points, that join the same two vertices of a solid twice, shape (d, 2)."""
     outer, inner = len(faces.outer), len(faces.inner)
     corners, cell = np.empty((outer + 2 * inner, 3), np.int32), np.empty(outer + 2 * inner, np.int32)
-    spread(
+    parallel_for(
         lambda first, last: half_faces(
             faces.outer, faces.cell, faces.inner, faces.sides, corners, cell, first, last
         ),
@@ -88,7 +88,7 @@ def _solids(faces: Faces, smallest: float) -> tuple[list[Solid], Ints]:
                 twice.append(points[_doubles(turned, len(points))])
 
         which = np.flatnonzero(rest)
-        apportion(lambda n: make(which[n]), np.diff(start)[which].tolist())
+        parallel_map(lambda n: make(which[n]), np.diff(start)[which].tolist())
     return [solid for solid in made if solid is not None], np.concatenate(twice)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from deepfracture.geometry.convex.decompose import parts
 from deepfracture.geometry.convex.polytope import clip
 from deepfracture.geometry.convex.separate import apart
-from deepfracture.runtime.parallel import apportion
+from deepfracture.runtime.parallel import parallel_map
 from deepfracture.types import Floats, Ints, Mesh
 
 WHOLE_PARTS, WHOLE_EXCESS = 64, 0.05
@@ -69,7 +69,7 @@ def whole_hulls(mesh: Mesh) -> Hulls:
 
 def piece_hulls(meshes: Sequence[Mesh]) -> list[Hulls]:
     """Parts of each fragment, slightly shrunk towards their own centres, that do not overlap those of another."""
-    found = apportion(lambda n: _piece(meshes[n]), [len(mesh.faces) for mesh in meshes])
+    found = parallel_map(lambda n: _piece(meshes[n]), [len(mesh.faces) for mesh in meshes])
     each = np.concatenate([starts[1:] - starts[:-1] for _, starts, _ in found])
     starts = np.concatenate([[0], np.cumsum(each)])
     counts = np.array([len(starts) - 1 for _, starts, _ in found])

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from deepfracture.geometry.convex.polytope import CORNERS, between, corners, hull, planes, put, volume
-from deepfracture.runtime.parallel import spread
+from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import Floats, Ints
 
 FINE = 0.003
@@ -38,11 +38,11 @@ def apart(triangles: Floats, starts: Ints, owners: Ints) -> tuple[Floats, Ints, 
     """
     boxes, points, ends = _corners(triangles, starts)
     faces, count = planes(triangles), len(owners)
-    met = spread(
+    met = parallel_for(
         lambda low, high: _cuts(faces, starts, owners, boxes, points, ends, low, high), count, least=1
     )  # fmt: skip
     first, second, cuts = (np.concatenate(column) for column in zip(*met, strict=True))
-    left = spread(lambda low, high: _cut_back(triangles, starts, first, second, cuts, low, high), count, least=1)
+    left = parallel_for(lambda low, high: _cut_back(triangles, starts, first, second, cuts, low, high), count, least=1)
     kept, counts, volumes = (np.concatenate(column) for column in zip(*left, strict=True))
     return kept, np.append(0, np.cumsum(counts)), volumes
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from deepfracture.runtime.extras import need
+from deepfracture.runtime.extras import require
 from deepfracture.types import BadInput
 
 
@@ -52,5 +52,5 @@ class Config:
 
 def need_training() -> None:
     """Ask for what training needs, before it begins: the last thing that it does is to draw its curve."""
-    need("torch", extra="train", to="train")
-    need("matplotlib", extra="train", to="draw the curve of a training")
+    require("torch", extra="train", to="train")
+    require("matplotlib", extra="train", to="draw the curve of a training")

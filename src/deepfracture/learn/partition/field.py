@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deepfracture.carve.encode import mark_parted
 from deepfracture.learn.partition.lattice import Lattice
-from deepfracture.runtime.parallel import spread
+from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 
 CRUMB = 30 / 64**3
@@ -81,7 +81,7 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
     r, lattice = body.grid.resolution, body.lattice
     labels = np.zeros((r + 2, r + 2, r + 2), np.int16)
     leaders = _leaders(scores)
-    spread(
+    parallel_for(
         lambda first, last: _divide(
             scores, leaders, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels,
             first, last,
@@ -91,10 +91,10 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
     _sweep_crumbs(labels, body.runs, max(2, round(CRUMB * r**3)), scores.shape[1])
     cuts = np.zeros((r, r, r), np.uint8)
     beside = np.concatenate(
-        spread(lambda first, last: _part(labels, body.runs[first:last], cuts), len(body.runs), least=1024)
+        parallel_for(lambda first, last: _part(labels, body.runs[first:last], cuts), len(body.runs), least=1024)
     )
     distance = np.full(labels.shape, np.float32(FAR))
-    spread(
+    parallel_for(
         lambda first, last: _at_cracks(
             labels, scores, beside[first:last], lattice.number, lattice.cell, lattice.weights, distance
         ),
@@ -104,7 +104,7 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
     _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes, beside, due)
     values = body.surface.copy()
     spacing = np.float32(body.grid.spacing)
-    spread(
+    parallel_for(
         lambda first, last: _take_nearer(values, distance, body.runs[first:last], spacing), len(body.runs), least=4096
     )
     return Volume(body.grid, values, cuts)
@@ -451,8 +451,8 @@ def _update(distance, voxel, side, surface):
         if best > high:
             third = np.float32(1 / 3)
             mean = (low + middle + high) * third
-            spread = (np.float32(1.0) - (low * low + middle * middle + high * high)) * third + mean * mean
-            best = mean + np.sqrt(max(np.float32(0.0), spread))
+            parallel_for = (np.float32(1.0) - (low * low + middle * middle + high * high)) * third + mean * mean
+            best = mean + np.sqrt(max(np.float32(0.0), parallel_for))
     if best < here:
         distance[voxel] = best
         return True

@@ -19,7 +19,7 @@ from deepfracture.learn.partition import network
 from deepfracture.learn.partition.config import Config
 from deepfracture.learn.partition.field import Body, volume_of
 from deepfracture.learn.partition.selector import VARIETY, Choice, Similarity
-from deepfracture.runtime.parallel import one_blas_thread, product
+from deepfracture.runtime.parallel import parallel_matmul, single_threaded_blas
 from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
 
 FORMAT = 2
@@ -85,9 +85,9 @@ class Model:
 
     def decode(self, code: Floats32) -> Volume:
         """The GS-SDF of one latent code, shape (code_size,)."""
-        with one_blas_thread():
+        with single_threaded_blas():
             matrix = network.compose(self.weights, code[None], np)[0]
-        return volume_of(self.body, product(self.waves, matrix))
+        return volume_of(self.body, parallel_matmul(self.waves, matrix))
 
 
 def _body(shape: Shape, grid: Grid) -> Body:
@@ -129,7 +129,7 @@ def predict(model: Model, impact: Impact, rng: np.random.Generator, way: Way = O
 
 def predictions(model: Model, impact: Impact, rng: np.random.Generator, way: Way = OURS) -> Iterator[Volume]:
     """The answer of `predict`, and what to fall back on when it does not serve: the next codes in order."""
-    with one_blas_thread():
+    with single_threaded_blas():
         codes = _codes(model, impact, rng, way)
     for code in codes:
         yield model.decode(code)

@@ -18,8 +18,8 @@ from deepfracture.learn.partition.field import CRUMB
 from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.learn.partition.network import OMEGA
 from deepfracture.learn.partition.selector import FAINT, VARIETY
-from deepfracture.runtime.extras import need
-from deepfracture.runtime.files import replacing
+from deepfracture.runtime.extras import require
+from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats32, Grid
 
 if TYPE_CHECKING:
@@ -42,14 +42,14 @@ def export_onnx(model: Model, path: Path) -> int:
         BadInput: onnx is not installed.
     """
     data = onnx_graph(model).SerializeToString()
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_bytes(data)
     return len(data)
 
 
 def onnx_graph(model: Model) -> ModelProto:
     """The graph, checked by onnx itself; docs/reference/onnx.md describes inputs and outputs."""
-    need("onnx", extra="onnx", to="export a model to ONNX")
+    require("onnx", extra="onnx", to="export a model to ONNX")
     from onnx import TensorProto, checker, helper
 
     if model.channels > MOST_LABELS:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from deepfracture.learn.checkpoint import KEY
 from deepfracture.learn.partition.config import need_training
 from deepfracture.learn.published.config import PRESETS, FieldConfig, preset
-from deepfracture.runtime.extras import need
+from deepfracture.runtime.extras import require
 from deepfracture.types import BadInput
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def load_field_model(path: Path | str, *, device: str = "auto") -> FieldModel:
     Raises:
         BadInput: In one line, what is missing, damaged, or of another format; torch or the device is not there.
     """
-    need("torch", extra="train", to=f"predict with the field model {path}")
+    require("torch", extra="train", to=f"predict with the field model {path}")
     from deepfracture.learn.distributed import pick_device
     from deepfracture.learn.published.model import load_field_model as load
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from deepfracture.runtime.suggest import meant
+from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 
 PAPER, MLP, PIX2PIX = PRESETS = ("paper", "mlp", "pix2pix")
@@ -53,7 +53,7 @@ class FieldConfig:
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
             raise BadInput(
-                f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}{meant(self.preset, PRESETS)}"
+                f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}{did_you_mean(self.preset, PRESETS)}"
             )
         for name in ("width", "impulse_size", "segment_size", "space", "batch", "points", "learning_rate", "late_rate"):
             if not getattr(self, name) > 0:

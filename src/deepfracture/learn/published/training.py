@@ -31,7 +31,7 @@ from deepfracture.learn.published.train_step import Teacher, faster_precision, l
 from deepfracture.learn.reconstruction import Recall, recall
 from deepfracture.learn.report import Card, write_card
 from deepfracture.learn.training import KEEP_EVERY, LOOKS, Budget, interrupt_later
-from deepfracture.runtime.lock import alone
+from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import log, stage, track
 from deepfracture.types import BadInput, Floats32
 
@@ -58,7 +58,7 @@ def train_field(
     budget, where = Budget(epochs, minutes), pick_device(device)
     config = config.at(dataset.settings.resolution)
     file = out / "checkpoint.safetensors"
-    with assemble(where) as team, alone(out) if team.leads else nullcontext():
+    with assemble(where) as team, exclusive(out) if team.leads else nullcontext():
         with stage("training data"):
             lesson = Lesson.of(dataset, config, out)
         run = _Run(lesson, config, seed, where, team)
