@@ -9,8 +9,10 @@ What `deepfracture.api` and `deepfracture.types` define is found here too, loade
     df.save(outcome, "pot.glb")
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from deepfracture._version import __version__ as __version__
+from deepfracture.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
     from deepfracture.api import breaker as breaker
@@ -49,8 +51,6 @@ if TYPE_CHECKING:
     from deepfracture.world import Scene as Scene
     from deepfracture.world import load_scene as load_scene
 
-__version__ = "0.1.0"
-
 _HOMES = {
     "api": ("breaker", "hit", "load", "run", "save", "simulate", "stress", "throw", "throw_scene", "train"),
     "breakers": ("BREAKERS",),
@@ -62,15 +62,6 @@ _HOMES = {
     ),
     "world": ("Ball", "Block", "Floor", "Live", "Outcome", "Placed", "Scene", "load_scene"),
 }  # fmt: skip
-"""What can be had from here, by the room that it lives in."""
+"""Public names, by the module that defines them."""
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOME[name]}", __name__), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOME])
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

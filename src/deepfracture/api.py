@@ -32,6 +32,8 @@ from deepfracture.breakers import AGAIN, make_breaker
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset_material
 from deepfracture.geometry import closest, load_shape
+from deepfracture.learn.options import OURS, PRESETS, TrainOptions
+from deepfracture.runtime.options import with_changes
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Breaker, Floats, Fragments, Grid, Impact, Material, Recording, Shape
 from deepfracture.world import UPRIGHT, Collision, Outcome, Scene, save_scene
@@ -49,8 +51,6 @@ ON_SURFACE = 0.01
 """A ray may start this far below the surface and still hit it there [m]."""
 EDGE = 1e-9
 """Barycentric tolerance: a ray through an edge meets one of its faces."""
-OURS = "waves"
-"""The preset of our own network."""
 EPOCHS = {True: 400, False: 1000}
 """Passes over the data when nothing else is asked for: our network's, some ten minutes for 200 patterns at r = 64 on
 two cores; and the paper's."""
@@ -472,30 +472,14 @@ def simulate(
     )  # fmt: skip
 
 
-def train(
-    dataset: Dataset | PathLike,
-    out: PathLike,
-    *,
-    preset: str = OURS,
-    width: float = 1.0,
-    features: int = 1,
-    epochs: int | None = None,
-    minutes: float | None = None,
-    device: str = "auto",
-    seed: int = 0,
-) -> Path:
-    """Train the generative model on simulated collisions. Call again to go on. Needs torch.
+def train(dataset: Dataset | PathLike, out: PathLike, options: TrainOptions | None = None, **changes: Any) -> Path:
+    """Train the generative model on simulated collisions. Needs torch. Call again to resume.
 
     Args:
         dataset: From `simulate`, or its folder.
         out: Run folder, with the curve and a card beside the weights.
-        preset: waves (ours), or a network that predicts the distance field itself: paper, mlp or pix2pix.
-        width: Channels of those networks, relative to their publications'.
-        features: Strongest impulses of a collision that the model sees, 1 or 2.
-        epochs: Passes over the data (by default 400 for waves, 1000 for the others).
-        minutes: Train for this long instead.
-        device: auto, cpu, cuda or mps.
-        seed: Of the initial weights and the order of samples.
+        options: What to train, for how long and where; the default ones if not given.
+        changes: Fields of `TrainOptions` by name.
 
     Returns:
         The finished weights, for `breaker("learned", shape, model=...)`.
@@ -507,35 +491,31 @@ def train(
         >>> model = df.train(data, "runs/statue", minutes=8)
         >>> breaker = df.breaker("learned", statue, model=model)
     """
-    return trained(
-        dataset, out, preset=preset, width=width, features=features, epochs=epochs, minutes=minutes, device=device,
-        seed=seed,
-    ).path  # fmt: skip
+    return train_with_card(dataset, out, with_changes(options or TrainOptions(), changes)).path
 
 
-def trained(
-    dataset: Dataset | PathLike, out: PathLike, *, preset: str, width: float, features: int, epochs: int | None,
-    minutes: float | None, device: str, seed: int,
-) -> Card:  # fmt: skip
-    """What `train` does, with all that is to be said of it."""
+def train_with_card(dataset: Dataset | PathLike, out: PathLike, options: TrainOptions) -> Card:
+    """What `train` does; returns the weights' path together with what a reader wants to know of the run."""
     from deepfracture.dataset import Dataset, open_dataset
     from deepfracture.learn import Config, published
     from deepfracture.learn import train as train_waves
 
+    preset, epochs = options.preset, options.epochs
+    if preset not in PRESETS:
+        raise BadInput(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}{did_you_mean(preset, PRESETS)}")
     ours = preset == OURS
-    if ours and width != 1:
-        raise BadInput(f"width {width:g}: only for the presets {', '.join(published.PRESETS)}; leave it out")
-    if not ours and preset not in published.PRESETS:
-        known = (OURS, *published.PRESETS)
-        raise BadInput(f"preset must be one of {', '.join(known)}, got {preset!r}{did_you_mean(preset, known)}")
-    if epochs is None and minutes is None:
+    if ours and options.width != 1:
+        raise BadInput(f"width {options.width:g}: only for the presets {', '.join(PRESETS[1:])}; leave it out")
+    if epochs is None and options.minutes is None:
         epochs = EPOCHS[ours]
     data = dataset if isinstance(dataset, Dataset) else open_dataset(Path(dataset))
+    run: dict[str, Any] = {
+        "epochs": epochs, "minutes": options.minutes, "device": options.device, "seed": options.seed,
+    }  # fmt: skip
     if ours:
-        config = Config(features=features)
-        return train_waves(data, Path(out), config, epochs=epochs, minutes=minutes, device=device, seed=seed)
-    chosen = published.preset(preset, width=width, features=features)
-    return published.train_field(data, Path(out), chosen, epochs=epochs, minutes=minutes, device=device, seed=seed)
+        return train_waves(data, Path(out), Config(features=options.features), **run)
+    config = published.preset(preset, width=options.width, features=options.features)
+    return published.train_field(data, Path(out), config, **run)
 
 
 def _material(given: str | Material) -> Material:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import deepfracture
+from deepfracture._version import __version__
 from deepfracture.runtime.extras import is_installed, pip_command
 from deepfracture.runtime.files import scratch_folder
 
@@ -72,7 +73,7 @@ def doctor() -> None:
 def machine() -> Iterator[str]:
     """What the program runs on."""
     where = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    yield f"deepfracture {deepfracture.__version__} on {where}"
+    yield f"deepfracture {__version__} on {where}"
     yield "  " + ", ".join(f"{name} {_version(name)}" for name in BASE)
     free = _free_memory()
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from deepfracture import api
+from deepfracture.learn.options import TrainOptions
 from deepfracture.runtime.progress import log
 
 
@@ -37,13 +38,6 @@ def convert(old: Path, new: Path) -> None:
     log.info("%s: %d entries, %d of them patterns%s", dataset.path, dataset.tried, len(dataset), lost)
 
 
-def train(
-    path: Path, *, out: Path, preset: str, width: float, features: int,
-    epochs: int | None, minutes: float | None, device: str, seed: int,
-) -> None:  # fmt: skip
-    """Train on the data set `path` into the run folder `out`; goes on where it stopped."""
-    finished = api.trained(
-        path, out, preset=preset, width=width, features=features, epochs=epochs, minutes=minutes, device=device,
-        seed=seed,
-    )  # fmt: skip
-    log.info("%s", finished)
+def train(path: Path, *, out: Path, options: TrainOptions) -> None:
+    """Train on the data set `path` into the run folder `out`; resumes an interrupted run."""
+    log.info("%s", api.train_with_card(path, out, options))

@@ -14,6 +14,7 @@ from tyro.conf import Positional
 
 from deepfracture.cli.help import asks_for_help, check_command, closing
 from deepfracture.cli.manner import Manner, profiled, set_logging, split_manner
+from deepfracture.learn.options import TrainOptions
 from deepfracture.runtime.files import explain_write_error
 from deepfracture.runtime.progress import log
 from deepfracture.runtime.suggest import did_you_mean
@@ -192,33 +193,18 @@ def train(
     dataset: Annotated[Positional[Path], tyro.conf.arg(metavar="DATASET")],
     /,
     out: Path,
-    preset: str = "waves",
-    width: float = 1.0,
-    features: int = 1,
-    epochs: int | None = None,
-    minutes: float | None = None,
-    device: str = "auto",
-    seed: int = 0,
+    training: tyro.conf.OmitArgPrefixes[TrainOptions] = TrainOptions(),
 ) -> None:
-    """Train the generative model on simulated collisions. Run again to go on.
+    """Train the generative model on simulated collisions. Rerun to resume.
 
     Args:
         dataset: folder or s3://BUCKET/PREFIX made by `deepfracture simulate`.
         out: run folder; the finished weights are model.safetensors in it.
-        preset: waves (ours), or a network that predicts the distance field itself: paper, mlp or pix2pix.
-        width: channels of those networks, relative to their publications'.
-        features: strongest impulses of a collision that the model sees, 1 or 2.
-        epochs: passes over the data (default: 400 for waves, the paper's 1000 for the others).
-        minutes: train for this long instead.
-        device: auto, cpu, cuda or mps.
-        seed: of the initial weights and the order of samples.
+        training: what to train, for how long and where.
     """
     from deepfracture.cli.learning import train as run
 
-    run(
-        dataset, out=out, preset=preset, width=width, features=features, epochs=epochs, minutes=minutes,
-        device=device, seed=seed,
-    )  # fmt: skip
+    run(dataset, out=out, options=training)
 
 
 @app.command

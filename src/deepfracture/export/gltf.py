@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture import __version__
+from deepfracture._version import __version__
 from deepfracture.export.names import body_names
 from deepfracture.geometry.rotations import continuous_quats, quat_between, quats_from_matrices
 from deepfracture.recording.motion import keys, pivot, pivot_positions, similarity

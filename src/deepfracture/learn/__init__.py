@@ -5,37 +5,34 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfracture.learn.normaliser import Normaliser, normalise_impact
-from deepfracture.learn.partition.config import Config, need_training
-from deepfracture.learn.partition.model import (
-    AS_PUBLISHED,
-    OURS,
-    Model,
-    Way,
-    embedded_model,
-    load_model,
-    predict,
-    predictions,
-)
+from deepfracture.learn.options import TrainOptions as TrainOptions
+from deepfracture.learn.partition.config import Config as Config
+from deepfracture.learn.partition.config import need_training
+from deepfracture.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
     from deepfracture.dataset import Dataset
+    from deepfracture.learn.normaliser import Normaliser as Normaliser
+    from deepfracture.learn.normaliser import normalise_impact as normalise_impact
+    from deepfracture.learn.partition.model import AS_PUBLISHED as AS_PUBLISHED
+    from deepfracture.learn.partition.model import OURS as OURS
+    from deepfracture.learn.partition.model import Model as Model
+    from deepfracture.learn.partition.model import Way as Way
+    from deepfracture.learn.partition.model import embedded_model as embedded_model
+    from deepfracture.learn.partition.model import load_model as load_model
+    from deepfracture.learn.partition.model import predict as predict
+    from deepfracture.learn.partition.model import predictions as predictions
     from deepfracture.learn.report import Card
 
-__all__ = [
-    "AS_PUBLISHED",
-    "OURS",
-    "Config",
-    "Model",
-    "Normaliser",
-    "Way",
-    "embedded_model",
-    "load_model",
-    "normalise_impact",
-    "predict",
-    "predictions",
-    "train",
-]
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "normaliser": ("Normaliser", "normalise_impact"),
+        "partition.model": (
+            "AS_PUBLISHED", "OURS", "Model", "Way", "embedded_model", "load_model", "predict", "predictions",
+        ),
+    },
+)  # fmt: skip
 
 
 def train(

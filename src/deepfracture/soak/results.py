@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfracture import __version__
+from deepfracture._version import __version__
 from deepfracture.soak.plan import SHARES, Case, Settings
 from deepfracture.types import BadInput
 
