@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from deepfracture import __version__
+from deepfracture._version import __version__
 from deepfracture.bench.rows import Row
 from deepfracture.types import BadInput
 
