@@ -13,10 +13,10 @@ from deepfracture.breakers.inside import Inside
 from deepfracture.breakers.recalled import Memory
 from deepfracture.breakers.voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
 from deepfracture.carve import voronoi_pattern
-from deepfracture.fracture.separate import merge_dust
 from deepfracture.fracture.simulate import SMALLEST_CELLS
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Floats, FracturePattern, Grid, Impact, Shape
+from deepfracture.voxels import merge_small_components
 
 ROUNDS = 20
 """Of Lloyd's algorithm; the cells hardly change any more."""
@@ -52,7 +52,7 @@ class CentroidalVoronoi:
         """Voronoi cells; what the voxels part from them as dust joins a neighbour, as in the simulator."""
         pattern = voronoi_pattern(sites, inside, self.grid)
         smallest = min(SMALLEST_CELLS, round(SMALLEST_CELLS * (self.grid.resolution / 64) ** 3))
-        return replace(pattern, labels=merge_dust(pattern.labels, smallest))
+        return replace(pattern, labels=merge_small_components(pattern.labels, smallest))
 
 
 def fitted_count(memory: Memory) -> Callable[[Shape, Impact], float]:

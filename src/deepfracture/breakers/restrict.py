@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.segmentation.components import connected_labels
 from deepfracture.geometry import voxels_inside
 from deepfracture.types import RESOLUTIONS, Floats, FracturePattern, Grid, Impact, Shape
+from deepfracture.voxels import connected_labels
 
 
 def piece_grid(piece: Shape, whole: Grid) -> Grid:

@@ -2,9 +2,9 @@
 
 from deepfracture.carve.cutting.cut import cut
 from deepfracture.carve.cutting.decimate import coarsened
-from deepfracture.carve.encode import cuts_of, encode
+from deepfracture.carve.encode import encode
 from deepfracture.carve.segmentation.published import segment_as_published
 from deepfracture.carve.segmentation.segment import segment
 from deepfracture.carve.voronoi import voronoi_pattern
 
-__all__ = ["coarsened", "cut", "cuts_of", "encode", "segment", "segment_as_published", "voronoi_pattern"]
+__all__ = ["coarsened", "cut", "encode", "segment", "segment_as_published", "voronoi_pattern"]

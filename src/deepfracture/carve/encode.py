@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from deepfracture.types import BadInput, FracturePattern, Labels, Volume
+from deepfracture.types import BadInput, FracturePattern, Volume
+from deepfracture.voxels import cut_faces
 
 ON_CRACK = np.float32(1e-6)
 """Least value inside [m]: a voxel whose centre lies on a crack is still inside."""
@@ -33,32 +33,4 @@ def encode(pattern: FracturePattern, surface_distance: ArrayLike, *, cuts: bool 
         raise BadInput(f"surface_distance must have shape {pattern.grid.shape}, got {surface.shape}")
     inside = (surface > 0) & (pattern.labels > 0)
     values = np.where(inside, np.maximum(np.minimum(pattern.distance, surface), ON_CRACK), surface)
-    return Volume(pattern.grid, values, cuts_of(pattern.labels) if cuts else None)
-
-
-def cuts_of(labels: Labels) -> NDArray[np.uint8]:
-    """Bits 1, 2, 4 where two labels meet at the face towards the next voxel along x, y, z; 0 is no label."""
-    return _cuts(np.ascontiguousarray(labels))
-
-
-@njit(cache=True)
-def _cuts(labels: np.ndarray) -> np.ndarray:
-    n0, n1, n2 = labels.shape
-    cuts = np.zeros((n0, n1, n2), np.uint8)
-    for i in range(n0):
-        for j in range(n1):
-            line, bits = labels[i, j], cuts[i, j]
-            if i + 1 < n0:
-                mark_parted(line, labels[i + 1, j], bits, 1)
-            if j + 1 < n1:
-                mark_parted(line, labels[i, j + 1], bits, 2)
-            mark_parted(line[: n2 - 1], line[1:], bits, 4)
-    return cuts
-
-
-@njit(cache=True, inline="always")
-def mark_parted(here: np.ndarray, there: np.ndarray, bits: np.ndarray, bit: int) -> None:
-    """Set `bit` where two lines of labels have one each, and not the same."""
-    for k in range(len(here)):
-        parted = (here[k] != there[k]) & (here[k] > 0) & (there[k] > 0)
-        bits[k] |= np.uint8(parted) * np.uint8(bit)
+    return Volume(pattern.grid, values, cut_faces(pattern.labels) if cuts else None)

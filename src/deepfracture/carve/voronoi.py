@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from deepfracture.carve.segmentation.components import connected_labels
 from deepfracture.geometry.sampled import FAR
 from deepfracture.types import BadInput, FracturePattern, Grid
+from deepfracture.voxels import connected_labels
 
 
 def voronoi_pattern(sites: ArrayLike, inside: ArrayLike, grid: Grid) -> FracturePattern:

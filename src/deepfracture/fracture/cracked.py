@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from deepfracture.geometry.disjoint_sets import find, union
 from deepfracture.types import BadInput, Floats, Ints, NoSolution
 
 Numbers = NDArray[np.int32]
@@ -94,13 +95,6 @@ def _modal_stiffness(poisson: float) -> Floats:
 
 
 @njit(cache=True)
-def _find(parent, a):
-    while parent[a] != a:
-        a = parent[a]
-    return a
-
-
-@njit(cache=True)
 def _number_corners(index, parted, cells):
     """Node of each corner of each cell, shape (n, 8): cells share a corner if a chain of whole faces joins them."""
     nx, ny, nz = index.shape
@@ -125,12 +119,11 @@ def _number_corners(index, parted, cells):
                     step = 4 >> axis
                     if s & step or around[s] < 0 or around[s + step] < 0 or parted[around[s], axis]:
                         continue
-                    p, r = _find(parent, s), _find(parent, s + step)
-                    parent[max(p, r)] = min(p, r)
+                    union(parent, s, s + step)
             for s in range(8):
                 if around[s] < 0:
                     continue
-                root = _find(parent, s)
+                root = find(parent, s)
                 if node_of[root] < 0:
                     node_of[root] = nodes
                     nodes += 1

@@ -72,7 +72,7 @@ def table_of(keys: np.ndarray) -> np.ndarray:  # pragma: no cover
 def all_distinct(keys: np.ndarray) -> bool:  # pragma: no cover
     """Whether no key comes twice."""
     table = empty_table(len(keys))
+    distinct = True
     for row in range(len(keys)):
-        if insert(table, keys, row) != row:
-            return False
-    return True
+        distinct = distinct and insert(table, keys, row) == row
+    return distinct

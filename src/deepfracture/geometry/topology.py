@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from deepfracture.geometry.disjoint_sets import union
 from deepfracture.types import BadInput, Ints, Mesh
 
 WELD = 1e-6
@@ -119,14 +120,7 @@ def _components(count: int, one: Ints, other: Ints) -> Ints:  # pragma: no cover
     """The number 0.. of the connected part that each of `count` nodes belongs to, by the first node of each."""
     root = np.arange(count)
     for n in range(len(one)):
-        a, b = one[n], other[n]
-        while root[a] != a:
-            root[a] = root[root[a]]
-            a = root[a]
-        while root[b] != b:
-            root[b] = root[root[b]]
-            b = root[b]
-        root[max(a, b)] = min(a, b)
+        union(root, one[n], other[n])
     found = 0
     for a in range(count):  # no root comes after what hangs on it
         if root[a] == a:

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.geometry.disjoint_sets import find, union
-from deepfracture.types import Ints, Labels
+from deepfracture.types import Labels
 from deepfracture.voxels.cut_faces import cut_faces
 
 
@@ -119,7 +119,7 @@ def _unite_lines(parent, runs, start, behind, here, bits, bit):
 
 
 @njit(cache=True)
-def paint_runs(labels: np.ndarray, runs: np.ndarray, names: Ints) -> None:
+def paint_runs(labels: np.ndarray, runs: np.ndarray, names: np.ndarray) -> None:
     """Write the name of each run to its voxels."""
     for n in range(len(runs)):
         labels[runs[n, 0], runs[n, 1], runs[n, 2] : runs[n, 3]] = names[n]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from deepfracture.carve import cuts_of, segment
-from deepfracture.carve.segmentation.regions import joined
+from deepfracture.carve import segment
 from deepfracture.carve.segmentation.segment import CAGE
 from deepfracture.carve.segmentation.watershed import BUCKETS
 from deepfracture.types import Grid, Volume
+from deepfracture.voxels import components_of_at_least, cut_faces
 
 GRID = Grid(32)
 STEPS = sorted(
@@ -137,7 +137,7 @@ def test_spans_give_the_regions_that_spreading_gives(filled: float, cut: float) 
     rng = np.random.default_rng(int(100 * filled))
     values = np.where(rng.random((20, 20, 20)) < filled, 0.1, -0.1).astype(np.float32)
     cuts = ((rng.random((3, 20, 20, 20)) < cut) << np.arange(3)[:, None, None, None]).sum(axis=0).astype(np.uint8)
-    labels = joined(values, cuts, 0)
+    labels = components_of_at_least(values, cuts, 0)
     assert labels.dtype == np.int32
     assert (labels == plain_join(values > 0, cuts)).all()
 
@@ -148,8 +148,8 @@ def test_small_regions_go_where_they_touch_most() -> None:
     cuts = np.zeros(values.shape, np.uint8)
     cuts[5, 2:7, 2:6] |= 1  # between the two halves, and through the crumb of two voxels on their side
     cuts[5:7, 5, 4] |= 2
-    assert joined(values, cuts, 0).max() == 4
-    labels = joined(values, cuts, 5)
+    assert components_of_at_least(values, cuts, 0).max() == 4
+    labels = components_of_at_least(values, cuts, 5)
     assert labels.max() == 2
     assert labels[5, 6, 4] == labels[5, 5, 4] == 1 and labels[6, 6, 4] == labels[6, 5, 4] == 2
 
@@ -157,7 +157,7 @@ def test_small_regions_go_where_they_touch_most() -> None:
 @pytest.mark.parametrize("dtype", [np.int32, np.int16])
 def test_cuts_stand_where_two_labels_meet(dtype: type) -> None:
     labels = np.random.default_rng(0).integers(0, 4, (9, 9, 9)).astype(dtype)
-    cuts = cuts_of(labels[:, ::-1])
+    cuts = cut_faces(labels[:, ::-1])
     for axis in range(3):
         there = np.roll(labels[:, ::-1], -1, axis)
         np.moveaxis(there, axis, 0)[-1] = 0

@@ -5,10 +5,11 @@ import pytest
 
 from deepfracture.fracture import Mechanisms, material, prepare_body, simulate
 from deepfracture.fracture.lattice import Lattice
-from deepfracture.fracture.separate import fragments_of, merge_dust
+from deepfracture.fracture.separate import fragments_of
 from deepfracture.fracture.variation import random_field
 from deepfracture.geometry import builtin
 from deepfracture.types import Grid, Impact
+from deepfracture.voxels import merge_small_components
 
 PLASTER = material("plaster")
 
@@ -113,7 +114,7 @@ def test_dust_joins_the_neighbour_it_touches_most() -> None:
     labels = np.zeros((4, 6, 6), np.int32)
     labels[:, :3], labels[:, 3:] = 1, 2
     labels[1, 2, 2:4] = 3  # 2 faces to label 2, more to label 1
-    merged = merge_dust(labels, 5)
+    merged = merge_small_components(labels, 5)
     assert merged.max() == 2
     assert (merged == np.where(labels == 2, 2, 1)).all()
 
@@ -121,8 +122,8 @@ def test_dust_joins_the_neighbour_it_touches_most() -> None:
 def test_dust_that_touches_nothing_joins_the_nearest_piece() -> None:
     labels = np.zeros((5, 5, 9), np.int32)
     labels[0, 0, 0], labels[3:, 3:, 3:5], labels[:2, :2, 7:] = 1, 2, 3
-    assert (merge_dust(labels, 4) == np.where(labels == 3, 2, labels > 0)).all()
-    assert merge_dust(np.where(labels == 1, labels, 0), 4).max() == 1  # there is nothing else
+    assert (merge_small_components(labels, 4) == np.where(labels == 3, 2, labels > 0)).all()
+    assert merge_small_components(np.where(labels == 1, labels, 0), 4).max() == 1  # there is nothing else
 
 
 def test_random_fields_have_unit_variance_and_the_length_asked_for() -> None:

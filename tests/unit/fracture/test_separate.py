@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepfracture.fracture.separate import merge_dust
+from deepfracture.voxels import merge_small_components
 
 
 def test_a_row_of_dust_ends_in_one_piece() -> None:
     labels = np.zeros((3, 3, 40), np.int32)
     labels[1, 1, :20] = np.arange(1, 21)
     labels[1, 1, 20:] = 21
-    assert (merge_dust(labels, 1000) == (labels > 0)).all()
+    assert (merge_small_components(labels, 1000) == (labels > 0)).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_pieces_only_grow_and_none_stays_dust_beside_a_neighbour(seed: int) -> None:
     rng = np.random.default_rng(seed)
     labels = np.repeat(np.repeat(rng.integers(0, 30, (6, 6, 6)), 3, axis=0), 2, axis=1).astype(np.int32)
-    merged = merge_dust(labels, 60)
+    merged = merge_small_components(labels, 60)
     assert ((merged > 0) == (labels > 0)).all()
     assert set(np.unique(merged)) == set(range(merged.max() + 1))
     for piece in np.unique(labels[labels > 0]):

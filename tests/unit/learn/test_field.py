@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepfracture.carve import cuts_of, encode, segment, voronoi_pattern
+from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.learn import Config, Model, Normaliser, Way, predictions
 from deepfracture.learn.partition import field, network
@@ -13,6 +13,9 @@ from deepfracture.learn.partition.field import Body, volume_of
 from deepfracture.learn.partition.lattice import MOST_NODES, Lattice
 from deepfracture.learn.partition.selector import Choice, Similarity
 from deepfracture.types import BadInput, Floats, Grid, Impact
+from deepfracture.voxels import cut_faces
+from deepfracture.voxels.components import components_of_runs, uncut_runs
+from deepfracture.voxels.small_components import relabel_small_components
 
 SITES = np.random.default_rng(0).uniform(-0.6, 0.6, (7, 3))
 
@@ -184,11 +187,14 @@ def read_everywhere(body: Body, scores: np.ndarray) -> np.ndarray:
 
 
 def plain_labels(body: Body, scores: np.ndarray) -> np.ndarray:
-    """The greatest of all splines at each voxel inside, crumbs swept, with a border of 0."""
+    """The greatest of all splines at each voxel inside, small components merged, with a border of 0."""
     everywhere = np.nan_to_num(read_everywhere(body, scores), nan=-np.inf)
     labels = np.pad(np.where(body.surface > 0, everywhere.argmax(axis=-1) + 1, 0).astype(np.int16), 1)
     r = body.grid.resolution
-    field._sweep_crumbs(labels, body.runs, max(2, round(field.CRUMB * r**3)), scores.shape[1])
+    cuts = cut_faces(labels[1:-1, 1:-1, 1:-1])
+    runs = uncut_runs(body.runs, cuts)
+    smallest = max(2, round(field.SMALL_COMPONENT * r**3))
+    relabel_small_components(labels, runs, components_of_runs(runs, cuts), smallest)
     return labels
 
 
@@ -234,7 +240,7 @@ def test_shortcuts_change_nothing(shape: str) -> None:
         scores = drawn.waves @ network.compose(drawn.weights, code[None], np)[0]
         found, labels = volume_of(body, scores), plain_labels(body, scores)
         assert found.cuts is not None and len(np.unique(labels)) > 2
-        assert (found.cuts == cuts_of(labels[1:-1, 1:-1, 1:-1])).all()
+        assert (found.cuts == cut_faces(labels[1:-1, 1:-1, 1:-1])).all()
         distance = plain_distance(body, scores, labels)[1:-1, 1:-1, 1:-1]
         wanted = np.where(body.surface > 0, np.minimum(body.surface, distance * body.grid.spacing), body.surface)
         assert np.abs(found.values - wanted).max() < 1e-4 * body.grid.spacing

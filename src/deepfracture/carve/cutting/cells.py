@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 
 from deepfracture.carve.cutting.mesh_on_grid import Ground
-from deepfracture.carve.segmentation.components import connected_labels
 from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import FracturePattern, Ints, Labels
+from deepfracture.voxels import connected_labels
 
 
 def cell_labels(ground: Ground, pattern: FracturePattern) -> tuple[Labels, Ints]:

@@ -14,14 +14,13 @@ from deepfracture.carve.cutting.intersect import (
     Crossing,
     EdgeNodes,
     NotGeneral,
-    edge_at,
     edge_code,
-    edge_table,
     over,
     pierces,
 )
 from deepfracture.carve.cutting.mesh_on_grid import Ground
-from deepfracture.carve.segmentation.regions import unite
+from deepfracture.geometry.disjoint_sets import flatten, union
+from deepfracture.geometry.hashing import lookup, table_of
 from deepfracture.types import Floats, Ints, Labels
 
 CORNERS = np.array([[n >> 2, n >> 1 & 1, n & 1] for n in range(8)])
@@ -83,9 +82,8 @@ def _groups(count, edges):
     """The lowest vertex that each vertex hangs together with along edges."""
     parent = np.arange(count).astype(np.int32)
     for n in range(len(edges)):
-        unite(parent, edges[n, 0], edges[n, 1])
-    for v in range(count):
-        parent[v] = parent[parent[v]]
+        union(parent, edges[n, 0], edges[n, 1])
+    flatten(parent)
     return parent
 
 
@@ -93,22 +91,21 @@ def _groups(count, edges):
 def _groups_of_triangles(count, triangles, quads, around, touched, cut):
     """The same along the edges of triangles that no node lies on; `cut` are the codes of the others, all of them of
     triangles that are `touched`."""
-    parent, table = np.arange(count).astype(np.int32), edge_table(cut)
+    parent, table = np.arange(count).astype(np.int32), table_of(cut)
     for q in range(len(around)):
         whole = quads[q + 1] - quads[q] == 2
         for t in range(quads[q], quads[q + 1]):
             whole = whole and not touched[t]
         if whole:
             for n in range(3):
-                unite(parent, around[q, n], around[q, n + 1])
+                union(parent, around[q, n], around[q, n + 1])
             continue
         for t in range(quads[q], quads[q + 1]):
             for n in range(3):
                 a, b = triangles[t, n], triangles[t, (n + 1) % 3]
-                if not touched[t] or edge_at(table, cut, edge_code(a, b, count)) < 0:
-                    unite(parent, a, b)
-    for v in range(count):
-        parent[v] = parent[parent[v]]
+                if not touched[t] or lookup(table, cut, edge_code(a, b, count)) < 0:
+                    union(parent, a, b)
+    flatten(parent)
     return parent
 
 

@@ -10,6 +10,7 @@ from numba import njit
 from deepfracture.carve.cutting.interfaces import Sheets
 from deepfracture.carve.cutting.mesh_on_grid import Ground
 from deepfracture.carve.cutting.predicates import side, volume
+from deepfracture.geometry.hashing import empty_table, insert_pair
 from deepfracture.runtime.parallel import parallel_for, parallel_invoke
 from deepfracture.types import Floats, Ints
 
@@ -87,30 +88,6 @@ def edge_codes(triangles: Ints, count: int) -> Ints:
     return np.minimum(triangles, following) * count + np.maximum(triangles, following)
 
 
-@njit(cache=True, nogil=True)
-def edge_table(edges):
-    """Where each of some codes is among them, for `edge_at`: a table with open addresses."""
-    size = 16
-    while size < 3 * len(edges):
-        size *= 2
-    table = np.full(size, -1, np.int32)
-    for n in range(len(edges)):
-        at = (edges[n] * 0x9E3779B97F4A7C1) >> 20 & (size - 1)
-        while table[at] >= 0:
-            at = (at + 1) & (size - 1)
-        table[at] = n
-    return table
-
-
-@njit(cache=True, inline="always")
-def edge_at(table, edges, code):
-    """Where a code is among `edges`, -1 if it is not there."""
-    at = (code * 0x9E3779B97F4A7C1) >> 20 & (len(table) - 1)
-    while table[at] >= 0 and edges[table[at]] != code:
-        at = (at + 1) & (len(table) - 1)
-    return table[at]
-
-
 def cross(ground: Ground, sheets: Sheets) -> Crossing:
     """All crossings of sheets and surface. Raises NotGeneral if they cannot be told exactly."""
     start, members = _members(sheets.number, len(sheets.cubes), ground.cubes, ground.touching)
@@ -184,22 +161,14 @@ def _runs(nodes, codes, share, sides):
 @njit(cache=True, nogil=True)
 def _nodes(segments):
     """The node at the tail and at the head of each segment, shape (2 k,); the edge (of the surface: ~number, of the
-    sheets: code) and the triangle of the other in which each node lies, shape (n, 2). A table with open addresses."""
-    count, size = 2 * len(segments), 16
-    while size < 2 * count:
-        size *= 2
-    table = np.full(size, -1, np.int64)
-    node, nodes = np.empty(count, np.int64), np.empty((count, 2), np.int64)
+    sheets: code) and the triangle of the other in which each node lies, shape (n, 2)."""
+    count = 2 * len(segments)
+    table, node, nodes = empty_table(count), np.empty(count, np.int64), np.empty((count, 2), np.int64)
     made = 0
     for e in range(count):
-        edge, triangle = segments[e // 2, 2 + 2 * (e % 2)], segments[e // 2, 3 + 2 * (e % 2)]
-        at = (edge * 0x9E3779B97F4A7C1 + triangle * 0x2545F4914F6CDD1) >> 20 & (size - 1)
-        while table[at] >= 0 and (nodes[table[at], 0] != edge or nodes[table[at], 1] != triangle):
-            at = (at + 1) & (size - 1)
-        if table[at] < 0:
-            table[at], nodes[made, 0], nodes[made, 1] = made, edge, triangle
-            made += 1
-        node[e] = table[at]
+        nodes[made, 0], nodes[made, 1] = segments[e // 2, 2 + 2 * (e % 2)], segments[e // 2, 3 + 2 * (e % 2)]
+        node[e] = insert_pair(table, nodes, made)
+        made += node[e] == made
     return node, nodes[:made].copy()
 
 

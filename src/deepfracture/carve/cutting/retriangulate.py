@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.carve.cutting.intersect import EdgeNodes, NotGeneral, Segments, edge_at, edge_table
+from deepfracture.carve.cutting.intersect import EdgeNodes, NotGeneral, Segments
+from deepfracture.geometry.hashing import lookup, table_of
 from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import Floats, Ints
 
@@ -59,7 +60,7 @@ def divide(surface: Surface, positions: Floats, *, unwanted: int) -> Division:
     Raises NotGeneral if segments and labels contradict each other."""
     segments, nodes = surface.segments, surface.nodes
     names, start, order = _by_triangle(segments.triangle, len(surface.triangles))
-    codes, table = surface.codes(names), edge_table(nodes.edges)
+    codes, table = surface.codes(names), table_of(nodes.edges)
 
     def part(first: int, last: int) -> tuple[Ints, Ints, Ints]:
         loops, loop_start, label, parent, bounded, flat, corners, of = _parts(
@@ -136,7 +137,7 @@ def _rims(codes, forward, table, edges, start, nodes, before, after):
     count = 0
     for t in range(len(codes)):
         for n in range(3):
-            at = edge_at(table, edges, codes[t, n])
+            at = lookup(table, edges, codes[t, n])
             if at >= 0:
                 size = start[at + 1] - start[at]
                 while count + size > len(rim):
@@ -278,7 +279,7 @@ def _with_holes(
         if wanted[outer]
     ]
     corners, of = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.argsort(of, kind="stable")  # so that nothing depends on which triangles are looked at together
+    order = np.argsort(of, kind="stable")  # so that nothing depends on which triangles are looked at parallel_invoke
     return corners[order], of[order]
 
 

@@ -11,8 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.carve.cutting.intersect import NotGeneral
-from deepfracture.carve.segmentation.regions import root
 from deepfracture.geometry import moments
+from deepfracture.geometry.disjoint_sets import find, union
 from deepfracture.runtime.parallel import parallel_map
 from deepfracture.types import Floats, Ints, Mesh
 
@@ -104,10 +104,7 @@ def _closed(positions, source, corners, own, plain, marks, base, twin, shell):
     parent, shells = np.arange(len(vertices)).astype(np.int32), len(vertices)
     for f in range(len(faces)):
         for n in range(1, 3):
-            one, other = root(parent, faces[f, 0]), root(parent, faces[f, n])
-            if one != other:
-                parent[max(one, other)] = min(one, other)
-                shells -= 1
+            shells -= union(parent, faces[f, 0], faces[f, n])
     first = np.empty(shells, np.int64)
     if shells == 1:
         first[0] = own[0]
@@ -116,7 +113,7 @@ def _closed(positions, source, corners, own, plain, marks, base, twin, shell):
     number, volumes = np.full(len(vertices), -1), np.zeros(shells)
     made = 0
     for f in range(len(faces)):
-        head = root(parent, faces[f, 0])
+        head = find(parent, faces[f, 0])
         if number[head] < 0:
             number[head], first[made] = made, own[f]
             made += 1

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import heapq
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.carve.cutting.intersect import NotGeneral
 from deepfracture.types import Floats, Ints
+from deepfracture.voxels import merge_graph
 
 FLAT = 1e-13
 """Share of the body's volume below which a shell is flat: nothing but rounding."""
@@ -42,13 +41,14 @@ def solids_of_shells(
     if not small.any():
         return into
     pairs, area = _touching(positions, corners, into, shell, small, outer, inner)
-    shared: dict[int, dict[int, float]] = {}
+    shared: list[dict[int, float]] = [{} for _ in into]
     unique, which = np.unique(pairs, return_inverse=True)
-    for pair, size in zip(unique.tolist(), np.bincount(which.ravel(), area).tolist(), strict=True):
+    for pair, common in zip(unique.tolist(), np.bincount(which.ravel(), area).tolist(), strict=True):
         one, two = divmod(pair, len(into))
-        shared.setdefault(one, {})[two] = size
-        shared.setdefault(two, {})[one] = size
-    return _join_dust(into, whole, shared, np.flatnonzero(small).tolist(), smallest, flat)
+        shared[one][two] = shared[two][one] = common
+    target = merge_graph(whole, shared, np.flatnonzero(small), smallest, larger_first=True)
+    debris = small & (target == np.arange(len(into))) & (whole <= flat)  # flat, and touches nothing
+    return np.where(debris[target], -1, target)[into]
 
 
 @njit(cache=True, nogil=True)
@@ -98,33 +98,3 @@ def _encloses(triangles: Floats, point: Floats) -> bool:
     dots = x * y * z + (a * b).sum(1) * z + (b * c).sum(1) * x + (c * a).sum(1) * y
     angle = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
     return bool(angle.sum() > 2 * np.pi)
-
-
-def _join_dust(
-    into: Ints, volumes: Floats, shared: dict[int, dict[int, float]], small: list[int], smallest: float, flat: float
-) -> Ints:
-    """The solid that each shell ends in, -1 for flat ones that touch nothing. Empties `shared`."""
-    ends, volumes = np.arange(len(into)), volumes.copy()
-    queue = [(volumes[n], n) for n in small]
-    heapq.heapify(queue)
-    while queue:
-        volume, n = heapq.heappop(queue)
-        if ends[n] != n or volume != volumes[n]:
-            continue
-        beside = shared.pop(n, {})
-        if not beside:
-            if volume <= flat:
-                ends[n] = -1
-            continue
-        goal = max(beside, key=lambda other: (beside[other], volumes[other], -other))
-        ends[n] = goal
-        volumes[goal] += volume
-        for other, size in beside.items():
-            del shared[other][n]
-            if other != goal:
-                shared[other][goal] = shared[goal][other] = shared[goal].get(other, 0.0) + size
-        if volumes[goal] < smallest:
-            heapq.heappush(queue, (volumes[goal], goal))
-    while (further := np.where(ends >= 0, ends[ends], -1)).tolist() != ends.tolist():
-        ends = further
-    return ends[into]

@@ -10,7 +10,8 @@ from numba import njit
 from deepfracture.carve.cutting.shells import Flags, Marks, Solid, by_number, half_faces, meshed, surfaces_of, twins
 from deepfracture.carve.cutting.small_components import solids_of_shells
 from deepfracture.geometry import moments
-from deepfracture.runtime.parallel import parallel_for, parallel_map
+from deepfracture.geometry.hashing import all_distinct
+from deepfracture.runtime.parallel import parallel_map, parallel_for
 from deepfracture.types import Floats, Ints, Mesh
 
 
@@ -108,27 +109,10 @@ def _doubles(faces: Ints, count: int) -> Ints:
     following = faces[:, [1, 2, 0]]
     forth = (faces < following).ravel()
     keys = (faces * count + following).ravel()[forth]
-    if _all_differ(keys):
+    if all_distinct(keys):
         return np.empty((0, 2), np.int64)
     unique, times = np.unique(keys, return_counts=True)
     return np.stack(np.divmod(unique[times > 1], count), axis=1)
-
-
-@njit(cache=True, nogil=True)
-def _all_differ(keys):
-    """Whether no key comes twice: by a table with open addresses."""
-    size = 16
-    while size < 4 * len(keys):
-        size *= 2
-    table = np.full(size, -1, np.int64)
-    for key in keys:
-        at = (key * 0x9E3779B97F4A7C1) >> 20 & (size - 1)
-        while table[at] >= 0:
-            if table[at] == key:
-                return False
-            at = (at + 1) & (size - 1)
-        table[at] = key
-    return True
 
 
 def _halved(faces: Faces, edges: Ints) -> Faces:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.segmentation.regions import root
 from deepfracture.carve.segmentation.segment import CAGE
 from deepfracture.carve.segmentation.watershed import BUCKETS
+from deepfracture.geometry.disjoint_sets import find
 from deepfracture.geometry.sampled import FAR
 from deepfracture.types import BadInput, FracturePattern, Volume
 
@@ -99,12 +99,12 @@ def _flood(
             count += 1
             parent[count], peak[count] = count, heights[v]
             region = count
-        region = root(parent, region)
+        region = find(parent, region)
         labels[v] = region
         for step in steps:
             if labels[v + step] == 0:
                 continue
-            other = root(parent, int(labels[v + step]))
+            other = find(parent, int(labels[v + step]))
             if other == region:
                 continue
             low, high = (region, other) if peak[region] < peak[other] else (other, region)
@@ -120,7 +120,7 @@ def _rename(heights: np.ndarray, order: np.ndarray, parent: np.ndarray, labels: 
     name = np.zeros(count + 1, np.int32)
     names = 0
     for v in order:
-        region = root(parent, int(labels[v]))
+        region = find(parent, int(labels[v]))
         if heights[v] <= 0:
             labels[v] = 0
             continue

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.carve.segmentation.regions import joined
 from deepfracture.carve.segmentation.watershed import flood
 from deepfracture.types import BadInput, FracturePattern, Volume
+from deepfracture.voxels import components_of_at_least
 
 CAGE = 0.03
 """Depth [m] of the shell outside the zero level that the flood may pass through (the paper's epsilon)."""
@@ -15,8 +15,8 @@ CAGE = 0.03
 def segment(volume: Volume, *, tolerance: float = 0.5, min_voxels: int = 8) -> FracturePattern:
     """Caged segmentation of a GS-SDF into fragments.
 
-    Where the cuts are known, what they part is parted and what they do not is not (`join`), whatever the values.
-    Otherwise the values have to tell:
+    Where the cut faces are known, fragments are the components that they separate, whatever the values
+    (`components_of_at_least`). Otherwise the values decide:
 
     Voxels are flooded from the highest value down. A peak starts a region; where two regions meet, at
     the pass between them, the one with the lower peak joins the other if it is shallow - its peak rises
@@ -47,7 +47,7 @@ def segment(volume: Volume, *, tolerance: float = 0.5, min_voxels: int = 8) -> F
     if min_voxels < 0:
         raise BadInput(f"min_voxels must be zero or more, got {min_voxels}")
     if volume.cuts is not None:
-        labels = joined(volume.values, volume.cuts, min_voxels)
+        labels = components_of_at_least(volume.values, volume.cuts, min_voxels)
         return FracturePattern(volume.grid, labels, np.maximum(volume.values, 0))
     labels = flood(volume.values, volume.grid.spacing, -CAGE, tolerance, min_voxels)
     return FracturePattern(volume.grid, labels, np.maximum(volume.values, 0))

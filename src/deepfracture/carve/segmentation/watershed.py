@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.segmentation.regions import root
+from deepfracture.geometry.disjoint_sets import find
 from deepfracture.geometry.sampled import FAR
 from deepfracture.types import Floats32, Ints, Labels
 
@@ -364,11 +364,11 @@ def _merged(meetings, peak, tolerance, min_voxels):
     size = np.zeros(len(peak), np.int64)
     pairs, crests = meetings
     for n in range(len(pairs)):
-        region = root(parent, pairs[n, 0])
+        region = find(parent, pairs[n, 0])
         if pairs[n, 1] == 0:
             size[region] += 1
             continue
-        other = root(parent, pairs[n, 1])
+        other = find(parent, pairs[n, 1])
         if other == region:
             continue
         low, high = (region, other) if peak[region] < peak[other] else (other, region)
@@ -376,7 +376,7 @@ def _merged(meetings, peak, tolerance, min_voxels):
             parent[low] = high
             size[high] += size[low]
     for b in range(len(parent)):
-        parent[b] = root(parent, b)
+        parent[b] = find(parent, b)
     return parent
 
 

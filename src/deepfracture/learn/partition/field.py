@@ -12,13 +12,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.carve.encode import mark_parted
 from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
+from deepfracture.voxels.components import components_of_runs, runs_inside, uncut_runs
+from deepfracture.voxels.cut_faces import mark_cut_faces
+from deepfracture.voxels.small_components import relabel_small_components
 
-CRUMB = 30 / 64**3
-"""Pieces below this share of the grid are noise of the network and join their surroundings."""
+SMALL_COMPONENT = 30 / 64**3
+"""Components below this share of the grid are noise of the network and join their surroundings."""
 FAR = 1e6
 """Distance [voxels] to the crack before any is known."""
 NEAREST = 1e-3
@@ -43,7 +45,7 @@ class Body:
     @staticmethod
     def of(grid: Grid, surface: Floats32) -> Body:
         surface = np.ascontiguousarray(surface, np.float32)
-        runs = _runs(surface)
+        runs = runs_inside(surface)
         planes = np.searchsorted(runs[:, 0], np.arange(grid.resolution + 1))
         return Body(grid, surface, runs, planes, Lattice.of(grid, surface))
 
@@ -88,11 +90,10 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
         ),
         len(lattice.cells), least=512,
     )  # fmt: skip
-    _sweep_crumbs(labels, body.runs, max(2, round(CRUMB * r**3)), scores.shape[1])
-    cuts = np.zeros((r, r, r), np.uint8)
-    beside = np.concatenate(
-        parallel_for(lambda first, last: _part(labels, body.runs[first:last], cuts), len(body.runs), least=1024)
-    )
+    cuts, beside = _cracks(labels, body.runs)
+    runs = uncut_runs(body.runs, cuts)
+    if relabel_small_components(labels, runs, components_of_runs(runs, cuts), max(2, round(SMALL_COMPONENT * r**3))):
+        cuts, beside = _cracks(labels, body.runs)
     distance = np.full(labels.shape, np.float32(FAR))
     parallel_for(
         lambda first, last: _at_cracks(
@@ -108,28 +109,6 @@ def volume_of(body: Body, scores: Floats32) -> Volume:
         lambda first, last: _take_nearer(values, distance, body.runs[first:last], spacing), len(body.runs), least=4096
     )
     return Volume(body.grid, values, cuts)
-
-
-@njit(cache=True)
-def _runs(surface):
-    n0, n1, n2 = surface.shape
-    runs = np.empty((n0 * n1 * ((n2 + 1) // 2), 4), np.int32)
-    count = 0
-    for i in range(n0):
-        for j in range(n1):
-            inside = False
-            for k in range(n2):
-                if (surface[i, j, k] > 0) != inside:
-                    inside = not inside
-                    if inside:
-                        runs[count, 0], runs[count, 1], runs[count, 2] = i, j, k
-                    else:
-                        runs[count, 3] = k
-                        count += 1
-            if inside:
-                runs[count, 3] = n2
-                count += 1
-    return runs[:count].copy()
 
 
 @njit(cache=True)
@@ -232,97 +211,17 @@ def _raise(near, label, weights, low, high, best, surface, labels):
                         labels[x + 1, y + 1, z + 1] = label
 
 
-@njit(cache=True)
-def _sweep_crumbs(labels, runs, smallest, channels):
-    """Give connected pieces of fewer than `smallest` voxels to the label that surrounds them most."""
-    parts, piece = _pieces(labels, runs)
-    size = np.zeros(len(parts), np.int64)
-    last = np.arange(len(parts))
-    after = np.full(len(parts), -1)
-    for n in range(len(parts)):
-        first = _first(piece, n)
-        size[first] += parts[n, 3] - parts[n, 2]
-        if n != first:
-            after[last[first]] = n
-            last[first] = n
-    votes = np.empty(channels + 1, np.int64)
-    for first in range(len(parts)):
-        if piece[first] != first or size[first] >= smallest:
-            continue
-        votes[:] = 0
-        n = first
-        while n >= 0:
-            _vote(labels, parts[n], votes)
-            n = after[n]
-        if votes.max() > 0:
-            n = first
-            while n >= 0:
-                labels[parts[n, 0], parts[n, 1], parts[n, 2] : parts[n, 3]] = votes.argmax()
-                n = after[n]
-
-
-@njit(cache=True)
-def _vote(labels, part, votes):
-    """Count the other labels beside a run of one."""
-    i, j = part[0], part[1]
-    mine = labels[i, j, part[2]]
-    for k in range(part[2], part[3]):
-        for other in (
-            labels[i - 1, j, k],
-            labels[i + 1, j, k],
-            labels[i, j - 1, k],
-            labels[i, j + 1, k],
-            labels[i, j, k - 1],
-            labels[i, j, k + 1],
-        ):
-            if other > 0 and other != mine:
-                votes[other] += 1
-
-
-@njit(cache=True)
-def _pieces(labels, runs):
-    """Runs of one label (i, j, first k, end k in the padded grid), shape (n, 4), and for each an earlier
-    one that it hangs together with across faces, or itself, shape (n,)."""
-    parts = np.empty((np.sum(runs[:, 3] - runs[:, 2]), 4), np.int32)
-    piece = np.empty(len(parts), np.int32)
-    side = labels.shape[1]
-    start = np.zeros(side * side + 1, np.int32)  # of each line, in `parts`
-    line = count = 0
-    for n in range(len(runs)):
-        i, j = runs[n, 0] + 1, runs[n, 1] + 1
-        while line < i * side + j:
-            line += 1
-            start[line] = count
-        k, end = runs[n, 2] + 1, runs[n, 3] + 1
-        while k < end:
-            stop = k + 1
-            while stop < end and labels[i, j, stop] == labels[i, j, k]:
-                stop += 1
-            parts[count] = i, j, k, stop
-            piece[count] = count
-            for other in (line - 1, line - side):
-                for m in range(start[other], start[other + 1]):
-                    if parts[m, 2] >= stop:
-                        break
-                    if parts[m, 3] > k and labels[parts[m, 0], parts[m, 1], parts[m, 2]] == labels[i, j, k]:
-                        a, b = _first(piece, m), _first(piece, count)
-                        piece[max(a, b)] = min(a, b)
-            count += 1
-            k = stop
-    return parts[:count], piece[:count]
-
-
-@njit(cache=True, inline="always")
-def _first(piece, n):
-    while piece[n] != n:
-        piece[n] = piece[piece[n]]
-        n = piece[n]
-    return n
+def _cracks(labels: NDArray[np.int16], runs: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """The faces that cracks cut, as in `Volume.cuts`, and the voxels inside that have one, shape (n, 3)."""
+    cuts = np.zeros([size - 2 for size in labels.shape], np.uint8)
+    return cuts, np.concatenate(
+        parallel_for(lambda first, last: _mark_cracks(labels, runs[first:last], cuts), len(runs), least=1024)
+    )
 
 
 @njit(cache=True, nogil=True)
-def _part(labels, runs, cuts):
-    """Mark the `cuts` (zero on entry); returns the voxels inside that one parts from another, shape (n, 3)."""
+def _mark_cracks(labels, runs, cuts):
+    """Mark the `cuts` (zero on entry); returns the voxels inside that have one, shape (n, 3)."""
     beside = np.empty((np.sum(runs[:, 3] - runs[:, 2]), 3), np.int32)
     found = np.empty(cuts.shape[2], np.uint8)
     count = 0
@@ -330,13 +229,13 @@ def _part(labels, runs, cuts):
         i, j, first, end = runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3]
         line = labels[i + 1, j + 1, first + 1 : end + 1]
         bits = cuts[i, j, first:end]
-        mark_parted(line, labels[i + 2, j + 1, first + 1 : end + 1], bits, 1)
-        mark_parted(line, labels[i + 1, j + 2, first + 1 : end + 1], bits, 2)
-        mark_parted(line, labels[i + 1, j + 1, first + 2 : end + 2], bits, 4)
+        mark_cut_faces(line, labels[i + 2, j + 1, first + 1 : end + 1], bits, 1)
+        mark_cut_faces(line, labels[i + 1, j + 2, first + 1 : end + 1], bits, 2)
+        mark_cut_faces(line, labels[i + 1, j + 1, first + 2 : end + 2], bits, 4)
         found[: end - first] = bits
-        mark_parted(line, labels[i, j + 1, first + 1 : end + 1], found, 1)
-        mark_parted(line, labels[i + 1, j, first + 1 : end + 1], found, 2)
-        mark_parted(line, labels[i + 1, j + 1, first:end], found, 4)
+        mark_cut_faces(line, labels[i, j + 1, first + 1 : end + 1], found, 1)
+        mark_cut_faces(line, labels[i + 1, j, first + 1 : end + 1], found, 2)
+        mark_cut_faces(line, labels[i + 1, j + 1, first:end], found, 4)
         for k in range(first, end):
             if found[k - first]:
                 beside[count, 0], beside[count, 1], beside[count, 2] = i, j, k

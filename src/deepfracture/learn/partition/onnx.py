@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.learn.partition.field import CRUMB
+from deepfracture.learn.partition.field import SMALL_COMPONENT
 from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.learn.partition.network import OMEGA
 from deepfracture.learn.partition.selector import FAINT, VARIETY
@@ -109,7 +109,7 @@ def facts(model: Model) -> dict[str, str]:
 
 def smallest_piece(grid: Grid) -> int:
     """Voxels below which a piece joins its surroundings."""
-    return max(2, round(CRUMB * grid.resolution**3))
+    return max(2, round(SMALL_COMPONENT * grid.resolution**3))
 
 
 class _Graph:
