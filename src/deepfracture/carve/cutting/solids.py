@@ -11,7 +11,7 @@ from deepfracture.carve.cutting.shells import Flags, Marks, Solid, by_number, ha
 from deepfracture.carve.cutting.small_components import solids_of_shells
 from deepfracture.geometry import moments
 from deepfracture.geometry.hashing import all_distinct
-from deepfracture.runtime.parallel import parallel_map, parallel_for
+from deepfracture.runtime.parallel import parallel_for, parallel_map
 from deepfracture.types import Floats, Ints, Mesh
 
 
