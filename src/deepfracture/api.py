@@ -348,7 +348,7 @@ def scene_breaker(
     if scene.refracture and name not in AGAIN:
         raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {', '.join(AGAIN)}")
     known = {
-        id(shape): breaker(
+        shape: breaker(
             name, shape, material=materials[placed.material],
             model=model, dataset=dataset, resolution=resolution, roughness=roughness, budget=budget,
         )
@@ -356,7 +356,7 @@ def scene_breaker(
     }  # fmt: skip
 
     def any_shape(shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
-        return known[id(shape.whole or shape)](shape, impact, rng)
+        return known[shape.whole or shape](shape, impact, rng)
 
     return any_shape
 

@@ -18,7 +18,7 @@ class Physical:
 
     material: Material
     grid: Grid
-    _bodies: dict[int, FractureBody] = field(default_factory=dict)
+    _bodies: dict[Shape, FractureBody] = field(default_factory=dict)
 
     @cached_property
     def _pieces(self) -> Pieces:
@@ -32,8 +32,7 @@ class Physical:
 
     def body(self, shape: Shape) -> FractureBody:
         """A whole shape made ready to be hit: seconds at the first call, nothing at the next."""
-        key = id(shape)
-        if key not in self._bodies:
+        if shape not in self._bodies:
             with stage("prepare body"):
-                self._bodies[key] = prepare_body(shape, self.material, self.grid)
-        return self._bodies[key]
+                self._bodies[shape] = prepare_body(shape, self.material, self.grid)
+        return self._bodies[shape]

@@ -18,7 +18,7 @@ from deepfracture.geometry import faults, load_shape
 from deepfracture.runtime.files import atomic_contents
 from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import Stage, collect_stages, log, stage
-from deepfracture.types import Material
+from deepfracture.types import Material, Shape
 from deepfracture.world import Outcome, Scene, load_scene, save_scene
 from deepfracture.world import simulate as run_world
 
@@ -61,7 +61,7 @@ def shatter(
         with stage("world, with the break"):
             rng = np.random.default_rng(played.seed)
             outcome = run_world(played, shapes, seam, rng, materials=materials)
-        made_of = {id(shape): materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
+        made_of = {shape: materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
         with atomic_contents(out, last=REPORT) as folder:
             files = write_formats(outcome, played, folder, formats, film=film)
             with stage("write scene.toml"):
@@ -82,11 +82,11 @@ def _portable(scene: Scene, out: Path) -> Scene:
 
 
 def _report(
-    outcome: Outcome, scene: Scene, made_of: dict[int, Material], breaker: str, stages: list[Stage], files: list[str]
+    outcome: Outcome, scene: Scene, made_of: dict[Shape, Material], breaker: str, stages: list[Stage], files: list[str]
 ) -> dict:
     """What report.json holds; of several collisions the strongest that broke something, or the strongest.
 
-    made_of: the material of each shape, by its identity."""
+    made_of: the material of each shape."""
     first = [collision for collision in outcome.collisions if collision.generation == 0]
     asked = [collision for collision in first if collision.fragments is not None] or first
     main = max(asked, key=lambda collision: collision.impact.magnitude[0], default=None)
@@ -106,7 +106,7 @@ def _report(
     }
     if main is None:
         return report
-    material = made_of[id(main.shape)]
+    material = made_of[main.shape]
     area = float(np.linalg.norm(main.shape.mesh.area_vectors, axis=1).sum())
     report["impulse"] = float(main.impact.magnitude[0])
     report["sigma_1"] = critical_stress(main.impact, material, area)

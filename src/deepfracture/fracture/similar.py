@@ -22,6 +22,7 @@ import numpy as np
 from deepfracture.fracture.body import FractureBody, prepare_body
 from deepfracture.fracture.contact import breaks
 from deepfracture.fracture.simulate import simulate
+from deepfracture.runtime.lru import LRU
 from deepfracture.runtime.progress import log, stage
 from deepfracture.types import RESOLUTIONS, BadInput, FracturePattern, Grid, Impact, Material, Shape
 
@@ -58,24 +59,16 @@ class Pieces:
     material: Material
     grid: Grid
     """Of the whole."""
-    _bodies: dict[int, tuple[Shape, FractureBody | None]] = field(default_factory=dict)
-    """The last KEPT by the identity of the shape, which is kept too: else another might get its number."""
+    _bodies: LRU[Shape, FractureBody | None] = field(default_factory=lambda: LRU(KEPT))
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         """How a fragment comes apart under an impact scaled to it; None if it holds."""
         area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
         if not breaks(impact, self.material, area):
             return None
-        body = self._body(shape)
+        body = self._bodies.get(shape, lambda: self._prepared(shape))
         cracking = None if body is None else simulate(body, impact, rng)
         return cracking.pattern if cracking else None
-
-    def _body(self, shape: Shape) -> FractureBody | None:
-        kept = self._bodies.pop(id(shape), None) or (shape, self._prepared(shape))
-        self._bodies[id(shape)] = kept  # now the last
-        if len(self._bodies) > KEPT:
-            del self._bodies[next(iter(self._bodies))]
-        return kept[1]
 
     def _prepared(self, shape: Shape) -> FractureBody | None:
         """None for a sliver that the boundary elements cannot take: it does not break again."""

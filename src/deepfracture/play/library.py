@@ -7,12 +7,11 @@ import os
 import re
 import threading
 import time
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -23,11 +22,11 @@ from deepfracture.fracture import FractureBody
 from deepfracture.fracture import material as preset
 from deepfracture.geometry import BUILTIN, load_shape
 from deepfracture.learn import embedded_model
+from deepfracture.runtime.lru import LRU
 from deepfracture.runtime.memory import release_free_memory
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Breaker, FracturePattern, Fragments, Grid, Impact, Material, Shape
 
-T = TypeVar("T")
 GRID = Grid(64)
 """On which the page breaks things: a few milliseconds for the network, some seconds for the physics."""
 WITHOUT_MODEL = ("physical", "voronoi", "cvd")
@@ -81,8 +80,8 @@ class Library:
         `load_shape` and `load_model` have it."""
         self._lock = threading.RLock()
         self._entries: dict[str, Entry] = {}
-        self._sources: OrderedDict[tuple, PatternSource] = OrderedDict()
-        self._bodies: OrderedDict[tuple, FractureBody] = OrderedDict()
+        self._sources: LRU[tuple, PatternSource] = LRU(KEPT)
+        self._bodies: LRU[tuple, FractureBody] = LRU(KEPT)
         self._done: set[Hashable] = set()
         self._turns = Turns(os.cpu_count() or 1)
         self._tidied = -TIDY
@@ -112,7 +111,7 @@ class Library:
         made_of = preset(material)
         if name == "physical":
             body = self._body(entry, made_of)
-            source: PatternSource = Physical(made_of, GRID, {id(entry.shape): body})
+            source: PatternSource = Physical(made_of, GRID, {entry.shape: body})
         else:
             source = self._source(entry, name, made_of)
         return Queued(PatternBreaker(source, made_of), self._turns)
@@ -145,20 +144,12 @@ class Library:
             source = make_source(name, entry.shape, material, GRID, model=entry.model)
             return _InTurn(source, threading.Lock())
 
-        return self._kept(self._sources, (entry, name, material.name), make)
+        with self._lock:
+            return self._sources.get((entry, name, material.name), make)
 
     def _body(self, entry: Entry, material: Material) -> FractureBody:
-        return self._kept(self._bodies, (entry, material.name), lambda: Physical(material, GRID).body(entry.shape))
-
-    def _kept(self, kept: OrderedDict[tuple, T], key: tuple, make: Callable[[], T]) -> T:
-        """What is kept under `key`, made if it is not there; of the others the `KEPT` last used ones stay."""
         with self._lock:
-            if key not in kept:
-                kept[key] = make()
-            kept.move_to_end(key)
-            while len(kept) > KEPT:
-                kept.popitem(last=False)
-            return kept[key]
+            return self._bodies.get((entry, material.name), lambda: Physical(material, GRID).body(entry.shape))
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 import traceback
 import zlib
-from collections import Counter, OrderedDict
-from collections.abc import Callable, Hashable
+from collections import Counter
+from collections.abc import Hashable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from deepfracture.breakers.restrict import piece_grid
 from deepfracture.fracture import MATERIALS, FractureBody
 from deepfracture.geometry import load_shape
 from deepfracture.geometry.rotations import rotation_matrix
+from deepfracture.runtime.lru import LRU
 from deepfracture.runtime.memory import release_free_memory, resident_mb
 from deepfracture.soak.plan import RECALLING, Case, Settings, data_of, model_of
 from deepfracture.soak.scenes import draw_scene
@@ -28,7 +29,6 @@ from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Rec
 from deepfracture.validation.fragments import check_fragments
 from deepfracture.world import Live, Scene
 
-T = TypeVar("T")
 KEPT = 16
 """Models, stress solvers (120 MB) and data sets kept ready of each kind, the last used ones."""
 LIGHT = 64
@@ -62,7 +62,10 @@ class Shop:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._shapes: dict[str, Shape] = {}
-        self._kept: dict[str, OrderedDict[Hashable, Any]] = {}
+        self._bodies: LRU[str, FractureBody] = LRU(KEPT)
+        self._memories: LRU[Hashable, Any] = LRU(KEPT)
+        self._known: LRU[Hashable, PatternSource] = LRU(KEPT)
+        self._light: LRU[Hashable, PatternSource] = LRU(LIGHT)
 
     def shape(self, source: str) -> Shape:
         if source not in self._shapes:
@@ -81,29 +84,17 @@ class Shop:
     def breaker(self, one: Case, material: str) -> Breaker:
         shape, made_of, grid = self.shape(one.shape), MATERIALS[material], Grid(one.resolution)
         if one.breaker == "physical":
-            body: FractureBody = self._once("bodies", one.shape, KEPT, lambda: Physical(made_of, grid).body(shape))
-            return PatternBreaker(Physical(made_of, grid, {id(shape): body}), made_of)
+            body = self._bodies.get(one.shape, lambda: Physical(made_of, grid).body(shape))
+            return PatternBreaker(Physical(made_of, grid, {shape: body}), made_of)
 
         def make() -> PatternSource:
             data = data_of(one.shape, self.settings) if one.breaker in RECALLING else None
-            memory = None if data is None else self._once("data", data, KEPT, lambda: recall(shape, data))
+            memory = None if data is None else self._memories.get(data, lambda: recall(shape, data))
             model = model_of(one.shape, self.settings) if one.breaker == "learned" else None
             return make_source(one.breaker, shape, made_of, grid, model=model, memory=memory)
 
-        known = one.breaker == "learned" or one.breaker in RECALLING
-        source = self._once(
-            "known" if known else "light", (one.shape, one.breaker, material), KEPT if known else LIGHT, make
-        )
-        return PatternBreaker(source, made_of)
-
-    def _once(self, kind: str, key: Hashable, most: int, make: Callable[[], T]) -> T:
-        kept = self._kept.setdefault(kind, OrderedDict())
-        if key not in kept:
-            kept[key] = make()
-        kept.move_to_end(key)
-        while len(kept) > most:
-            kept.popitem(last=False)
-        return kept[key]
+        kept = self._known if one.breaker == "learned" or one.breaker in RECALLING else self._light
+        return PatternBreaker(kept.get((one.shape, one.breaker, material), make), made_of)
 
 
 @dataclass(frozen=True)
