@@ -29,9 +29,17 @@ from pathlib import Path
 from cluster_work import POISONED, Busy, Poisoned
 from common import ROOT, start, table, write_text
 
-from deepfracture.dataset import Collide, Dataset, Local, OnRay, open_dataset, simulate_collisions
-from deepfracture.dataset.generate import physical_collisions
-from deepfracture.dataset.store import Settings, done
+from deepfracture.dataset import (
+    Dataset,
+    DatasetSettings,
+    Local,
+    RayCluster,
+    Simulator,
+    open_dataset,
+    recorded,
+    simulate_collisions,
+)
+from deepfracture.dataset.generate import physical_simulator
 from deepfracture.fracture import material
 from deepfracture.geometry import builtin
 
@@ -78,7 +86,7 @@ def cluster(
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     log = Log([], time.monotonic())
-    healthy = physical_collisions if cheap is None else Busy(cheap, wait)
+    healthy = physical_simulator if cheap is None else Busy(cheap, wait)
     what = f"{shape} at r = {resolution}" if cheap is None else f"{cheap:g} s of {'waiting' if wait else 'arithmetic'}"
     log(f"{collisions} collisions, {what}; {os.cpu_count()} processors; ray {_version()}")
     log("local, 2 processes")
@@ -88,17 +96,17 @@ def cluster(
     stored = []
     with bucket_server() if bucket else nullcontext(), head(port, log):
         with node(port, "A", 1, log):
-            rates["ray, 1 worker"] = run("one", OnRay(run.address, None))
+            rates["ray, 1 worker"] = run("one", RayCluster(run.address, None))
             with node(port, "B", 1, log) as second:
-                rates["ray, 2 workers"] = run("two", OnRay(run.address, None))
+                rates["ray, 2 workers"] = run("two", RayCluster(run.address, None))
                 log("again, and node B is killed when a third is done")
                 killer = threading.Thread(target=kill, args=(second, out / "killed", collisions // 3, log))
                 killer.start()
-                rates["ray, node B killed"] = run("killed", OnRay(run.address, None))
+                rates["ray, node B killed"] = run("killed", RayCluster(run.address, None))
                 killer.join()
         with node(port, "C", 2, log):
             log(f"poisoned: {POISONED}, limit {LIMIT:g} s, memory {MEMORY:g} GB")
-            run("poisoned", OnRay(run.address, None), prepare=Poisoned(healthy), limit=LIMIT, memory=MEMORY)
+            run("poisoned", RayCluster(run.address, None), make_simulator=Poisoned(healthy), limit=LIMIT, memory=MEMORY)
             if bucket:
                 stored.append(run.into_bucket(wanted))
             for record in open_dataset(out / "poisoned").records:
@@ -130,13 +138,13 @@ class _Runs:
     shape: str
     collisions: int
     resolution: int
-    healthy: Callable[[Settings], Collide]
+    healthy: Callable[[DatasetSettings], Simulator]
     out: Path
     log: Log
     address: str
 
     def __call__(
-        self, name: str, executor: Local | OnRay, *, prepare: Callable[[Settings], Collide] | None = None,
+        self, name: str, executor: Local | RayCluster, *, make_simulator: Callable[[DatasetSettings], Simulator] | None = None,
         limit: float = 600.0, memory: float | None = None,
     ) -> float:  # fmt: skip
         """Entries a second, once a quarter is stored: starting the workers is paid once and not counted."""
@@ -144,7 +152,7 @@ class _Runs:
         data: Dataset = simulate_collisions(
             builtin(self.shape), material("plaster"), self.out / name, collisions=self.collisions,
             resolution=self.resolution, seed=SEED, speed_range=(4.0, 15.0), executor=executor,
-            prepare=prepare or self.healthy, limit=limit, memory=memory,
+            make_simulator=make_simulator or self.healthy, limit=limit, memory=memory,
         )  # fmt: skip
         seconds = time.monotonic() - begun
         times = sorted(path.stat().st_mtime for path in (self.out / name / "entries").iterdir())
@@ -164,8 +172,8 @@ class _Runs:
         begun = time.monotonic()
         data = simulate_collisions(
             builtin(self.shape), material("plaster"), f"s3://{BUCKET}/set", collisions=self.collisions,
-            resolution=self.resolution, seed=SEED, speed_range=(4.0, 15.0), executor=OnRay(self.address, None),
-            prepare=self.healthy,
+            resolution=self.resolution, seed=SEED, speed_range=(4.0, 15.0), executor=RayCluster(self.address, None),
+            make_simulator=self.healthy,
         )  # fmt: skip
         self.log(f"bucket: {data.tried} entries, {data.failed} failed, in {time.monotonic() - begun:.1f} s")
         there = S3Store(BUCKET, prefix="set", client_options={"allow_http": True})
@@ -270,10 +278,10 @@ def _listens(port: int) -> bool:
 
 def kill(process: subprocess.Popen, folder: Path, when: int, log: Log) -> None:
     """kill -9 to a node and all that runs on it, as soon as the data set in `folder` has `when` entries."""
-    while not folder.exists() or len(done(folder)) < when:
+    while not folder.exists() or len(recorded(folder)) < when:
         time.sleep(0.1)
     many = kill_family(process)
-    log(f"node B killed with kill -9, {many} processes, after {len(done(folder))} entries")
+    log(f"node B killed with kill -9, {many} processes, after {len(recorded(folder))} entries")
 
 
 def kill_family(process: subprocess.Popen) -> int:

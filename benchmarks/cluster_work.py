@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.dataset import Collide, Outcome
-from deepfracture.dataset.guard import collision_seed
-from deepfracture.dataset.store import Settings
+from deepfracture.dataset import CollisionResult, DatasetSettings, Simulator
+from deepfracture.dataset.watchdog import collision_seed
 from deepfracture.types import FracturePattern, Grid, Impact
 
 POISONED = {1: "raises", 4: "hangs", 6: "takes memory"}
@@ -24,10 +23,10 @@ class Busy:
     seconds: float
     waits: bool
 
-    def __call__(self, settings: Settings) -> Collide:
+    def __call__(self, settings: DatasetSettings) -> Simulator:
         grid = Grid(settings.resolution)
 
-        def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+        def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
             clock = time.monotonic if self.waits else time.process_time
             until = clock() + self.seconds
             while clock() < until:
@@ -39,7 +38,7 @@ class Busy:
             impact = Impact(rng.uniform(-1, 1, (1, 3)), direction, np.array([rng.uniform(1, 9)]), -direction, 3.0, 0.2)
             labels = np.repeat(rng.integers(1, 5, (2, *grid.shape[1:])), grid.resolution // 2, axis=0)
             distance = rng.uniform(0, 1, grid.shape).astype(np.float16).astype(np.float32)
-            return Outcome(impact, FracturePattern(grid, labels.astype(np.int32), distance))
+            return CollisionResult(impact, FracturePattern(grid, labels.astype(np.int32), distance))
 
         return collide
 
@@ -48,13 +47,13 @@ class Busy:
 class Poisoned:
     """As others, but for the collisions of POISONED."""
 
-    healthy: Callable[[Settings], Collide]
+    healthy: Callable[[DatasetSettings], Simulator]
 
-    def __call__(self, settings: Settings) -> Collide:
+    def __call__(self, settings: DatasetSettings) -> Simulator:
         collide = self.healthy(settings)
         states = {_state(np.random.default_rng(collision_seed(settings.seed, k))): how for k, how in POISONED.items()}
 
-        def poisoned(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+        def poisoned(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
             how = states.get(_state(rng))
             if how == "raises":
                 raise ArithmeticError("the solver divided by zero")

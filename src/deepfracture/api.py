@@ -463,12 +463,12 @@ def simulate(
     Examples:
         >>> data = df.simulate(statue, "data/statue", collisions=240, speed=(8, 30))
     """
-    from deepfracture.dataset import executor_named, simulate_collisions
+    from deepfracture.dataset import make_executor, simulate_collisions
 
     return simulate_collisions(
         shape, _material(material), Path(out), collisions=collisions, resolution=resolution, seed=seed,
         speed_range=speed, scene=scene, refracture=refracture, frames=frames, repeats=repeats,
-        executor=executor_named(executor, workers=workers, address=address), limit=limit, memory=memory, retry=retry,
+        executor=make_executor(executor, workers=workers, address=address), limit=limit, memory=memory, retry=retry,
     )  # fmt: skip
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfracture.dataset import Outcome, Sample, store
-from deepfracture.dataset.guard import collision_seed
+from deepfracture.dataset import CollisionResult, DatasetSettings, Sample
+from deepfracture.dataset.watchdog import collision_seed
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Mesh, NoSolution, Shape
 
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
@@ -31,35 +31,35 @@ def random_sample(rng: np.random.Generator, resolution: int = 32) -> Sample:
     return Sample(impact, FracturePattern(grid, labels, distance), int(rng.integers(1 << 60)))
 
 
-def fake_collisions(settings: store.Settings):
+def fake_collisions(settings: DatasetSettings):
     """Stands in for world and simulator: a third of the balls break nothing, some miss."""
 
-    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         kind = rng.integers(6)
         sample = random_sample(rng, settings.resolution)
-        return Outcome(None if kind == 0 else sample.impact, None if kind < 2 else sample.pattern)
+        return CollisionResult(None if kind == 0 else sample.impact, None if kind < 2 else sample.pattern)
 
     return collide
 
 
-def failing_collisions(settings: store.Settings):
-    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+def failing_collisions(settings: DatasetSettings):
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         raise ZeroDivisionError("ball: too round")
 
     return collide
 
 
-def unready(settings: store.Settings):
+def unready(settings: DatasetSettings):
     raise ZeroDivisionError("oven: too cold")
 
 
-def poisoned_collisions(settings: store.Settings):
+def poisoned_collisions(settings: DatasetSettings):
     """As `fake_collisions`, but one hangs, one eats all memory, one dies and one raises."""
     simple = fake_collisions(settings)
     seeds = [collision_seed(settings.seed, k) for k in range(4)]
     starts = [np.random.default_rng(seed).bit_generator.state["state"]["state"] for seed in seeds]
 
-    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         start = rng.bit_generator.state["state"]["state"]
         if start == starts[0]:
             time.sleep(1000)
@@ -75,12 +75,12 @@ def poisoned_collisions(settings: store.Settings):
     return collide
 
 
-def killed_once(settings: store.Settings):
+def killed_once(settings: DatasetSettings):
     """As `fake_collisions`, but the first worker that comes to the third collision is killed in it."""
     simple = fake_collisions(settings)
     third = np.random.default_rng(collision_seed(settings.seed, 2)).bit_generator.state["state"]["state"]
 
-    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         trace = Path(settings.material.name)
         if rng.bit_generator.state["state"]["state"] == third and not trace.exists():
             trace.touch()
@@ -90,11 +90,11 @@ def killed_once(settings: store.Settings):
     return collide
 
 
-def stubborn_collisions(settings: store.Settings):
+def stubborn_collisions(settings: DatasetSettings):
     """As `fake_collisions`, but every fourth or so cannot be solved."""
     simple = fake_collisions(settings)
 
-    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         if rng.random() < 0.25:
             raise NoSolution("the stress did not converge")
         return simple(rng)
@@ -102,9 +102,9 @@ def stubborn_collisions(settings: store.Settings):
     return collide
 
 
-def repeated_collisions(settings: store.Settings):
-    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+def repeated_collisions(settings: DatasetSettings):
+    def collide(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         impact = random_sample(rng, settings.resolution).impact
-        return Outcome(impact, random_sample(again or rng, settings.resolution).pattern)
+        return CollisionResult(impact, random_sample(again or rng, settings.resolution).pattern)
 
     return collide

@@ -18,10 +18,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "deepfracture play statue.obj --model runs/statue/model.safetensors --up y",
     ),
     "simulate": ("deepfracture simulate statue.obj --collisions 240 --speed 8 30 --out data/statue",),
-    "convert": (
-        "deepfracture convert data/statue s3://bucket/statue",
-        "deepfracture convert data/old data/new",
-    ),
+    "copy": ("deepfracture copy data/statue s3://bucket/statue",),
     "train": ("deepfracture train data/statue --out runs/statue --minutes 10",),
     "evaluate": (
         "deepfracture simulate pot --collisions 40 --repeats 4 --seed 7 --out data/held",

@@ -29,9 +29,9 @@ def info(name: str) -> None:
 
 
 def _dataset(path: str) -> list[str]:
-    from deepfracture.dataset import verified
+    from deepfracture.dataset import verify_dataset
 
-    data, damaged = verified(path)
+    data, damaged = verify_dataset(path)
     counts = [record.fragments for record in data.samples]
     again, frames = data.settings.refracture, data.settings.frames
     lines = [

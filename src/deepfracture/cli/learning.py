@@ -29,11 +29,11 @@ def simulate(
     )  # fmt: skip
 
 
-def convert(old: Path, new: Path) -> None:
-    """Copy the data set `old`, of this or a former format, to `new`; goes on where it stopped."""
-    from deepfracture.dataset import convert as run
+def copy(source: Path, target: Path) -> None:
+    """Copy the data set `source` to `target`; resumes where it stopped."""
+    from deepfracture.dataset import copy_dataset
 
-    dataset, damaged = run(old, new)
+    dataset, damaged = copy_dataset(source, target)
     lost = f", {damaged} damaged ones left out: simulate {dataset.shape.name} again to fill the gaps" if damaged else ""
     log.info("%s: %d entries, %d of them patterns%s", dataset.path, dataset.tried, len(dataset), lost)
 

@@ -23,6 +23,8 @@ from deepfracture.types import BadInput, NoSolution
 NAME = "deepfracture"
 SHELLS = ("bash", "zsh", "fish", "tcsh")
 ShapeName = Annotated[Positional[str], tyro.conf.arg(metavar="SHAPE", help="A mesh file, or a built-in shape.")]
+RENAMED = {"convert": "copy"}
+"""Former names of commands, accepted for a release."""
 app = tyro.extras.SubcommandApp()
 
 
@@ -172,20 +174,20 @@ def simulate(
 
 
 @app.command
-def convert(
-    old: Annotated[Positional[Path], tyro.conf.arg(metavar="OLD")],
-    new: Annotated[Positional[Path], tyro.conf.arg(metavar="NEW")],
+def copy(
+    source: Annotated[Positional[Path], tyro.conf.arg(metavar="SOURCE")],
+    target: Annotated[Positional[Path], tyro.conf.arg(metavar="TARGET")],
     /,
 ) -> None:
-    """Copy a data set of this or a former format to another folder or bucket, checking it. Run again to go on.
+    """Copy a data set to another folder or bucket and verify every byte. Rerun to resume.
 
     Args:
-        old: folder or s3://BUCKET/PREFIX of the data set.
-        new: folder or s3://BUCKET/PREFIX that it is to lie in.
+        source: folder or s3://BUCKET/PREFIX of the data set.
+        target: folder or s3://BUCKET/PREFIX of the copy.
     """
-    from deepfracture.cli.learning import convert as run
+    from deepfracture.cli.learning import copy as run
 
-    run(old, new)
+    run(source, target)
 
 
 @app.command
@@ -380,6 +382,9 @@ def main(args: Sequence[str] | None = None) -> None:
     try:
         words, manner = split_manner(words)
         set_logging(manner)
+        if words and words[0] in RENAMED:
+            log.warning("the command %s is deprecated; use %s", words[0], RENAMED[words[0]])
+            words[0] = RENAMED[words[0]]
         check_command(words, commands())
         with profiled(manner.profile):
             app.cli(prog=NAME, description="Breaks things beautifully.", args=words)

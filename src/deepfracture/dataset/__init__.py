@@ -1,23 +1,30 @@
-"""Learning data: throw balls, simulate what breaks, keep it where interruption and company do no harm."""
+"""Training data: simulate random collisions and store them, safe against kills and concurrent writers."""
 
-from deepfracture.dataset.convert import convert
-from deepfracture.dataset.executors import EXECUTORS, Executor, Local, OnRay, executor_named
+from deepfracture.dataset.copy import copy_dataset
+from deepfracture.dataset.dataset import Dataset, open_dataset, verify_dataset
+from deepfracture.dataset.entries import Sample, recorded, write_sample, write_unbroken
+from deepfracture.dataset.executors import EXECUTORS, Executor, Local, RayCluster, make_executor
 from deepfracture.dataset.generate import simulate_collisions
-from deepfracture.dataset.guard import Collide, Outcome
-from deepfracture.dataset.store import Dataset, Sample, open_dataset, verified
+from deepfracture.dataset.settings import DatasetSettings, create_dataset
+from deepfracture.dataset.watchdog import CollisionResult, Simulator
 
 __all__ = [
     "EXECUTORS",
-    "Collide",
+    "CollisionResult",
     "Dataset",
+    "DatasetSettings",
     "Executor",
     "Local",
-    "OnRay",
-    "Outcome",
+    "RayCluster",
     "Sample",
-    "convert",
-    "executor_named",
+    "Simulator",
+    "copy_dataset",
+    "create_dataset",
+    "make_executor",
     "open_dataset",
+    "recorded",
     "simulate_collisions",
-    "verified",
+    "verify_dataset",
+    "write_sample",
+    "write_unbroken",
 ]

@@ -1,25 +1,28 @@
-"""Throw many balls at a shape and simulate what breaks, on many processors, continuing after a kill."""
+"""Fill a data set with simulated collisions, on many processors, resuming after a kill."""
 
 from __future__ import annotations
 
 import math
 import uuid
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from deepfracture.dataset.arrays import CAPACITY
+from deepfracture.dataset.dataset import Dataset, discard_incomplete, open_dataset
+from deepfracture.dataset.entries import recorded
 from deepfracture.dataset.executors import Executor, Local
-from deepfracture.dataset.guard import Collide, Job, Outcome
+from deepfracture.dataset.settings import DatasetSettings, create_dataset
 from deepfracture.dataset.storage import Folder
-from deepfracture.dataset.store import Dataset, Settings, create, done, forget, open_dataset
+from deepfracture.dataset.watchdog import CollisionResult, Job, Simulator
 from deepfracture.runtime.progress import log, track
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Grid, Material, Shape
 
-LIMIT = 600.0
-"""Seconds after which a collision is given up, if nobody says otherwise."""
+TIME_LIMIT = 600.0
+"""Default longest time for a collision [s]."""
 
 
 def simulate_collisions(
@@ -36,32 +39,32 @@ def simulate_collisions(
     frames: int = 60,
     repeats: int = 1,
     executor: Executor = Local(2),  # noqa: B008  (frozen)
-    limit: float = LIMIT,
+    limit: float = TIME_LIMIT,
     memory: float | None = None,
     retry: bool = False,
-    prepare: Callable[[Settings], Collide] | None = None,
+    make_simulator: Callable[[DatasetSettings], Simulator] | None = None,
 ) -> Dataset:
     """Simulate collisions 0 .. `collisions` - 1 that the data set `out` does not hold yet.
 
-    Collision k depends on (`seed`, k) alone, so the samples are the same, byte for byte, however many
-    workers there are on however many machines, and however often the job was interrupted.
+    Collision k depends on (`seed`, k) alone: the samples are the same, byte for byte, for any number of workers and
+    machines, and after any interruption.
 
     Args:
         out: Folder, or s3://BUCKET/PREFIX.
-        collisions: Balls thrown in all; those that break nothing, or that the solver cannot take, are counted
-            and left out.
+        collisions: Number of collisions; those without fracture, or that the solver cannot handle, are recorded
+            without a pattern.
         speed_range: Slowest and fastest ball [m/s].
         scene: Kind of scene, one of `world.KINDS`.
         refracture: Generations of fragments that may break again ...
-        frames: ... within so many frames, at 60 a second, after the hit.
-        repeats: Times that each collision is simulated: the same ball and the same impact, another draw of the
-            material's weak places. The first repeats are the collisions of a data set without repeats.
-        executor: Who does it.
-        limit: Seconds that a collision, or getting ready for them, may take ...
-        memory: ... and gigabytes that a worker may take (None: all that there is): else it counts as failed.
-        retry: First drop what failed or is damaged, and do it again.
-        prepare: What makes the collision of the settings, once in every worker; by default a ball in
-            the rigid-body world and the fracture simulator.
+        frames: ... within this many frames after the hit, at 60 a second.
+        repeats: Simulations of each collision: the same ball and impact, another realisation of the material's
+            strength. The first repeats are the collisions of a data set without repeats.
+        executor: Where the entries are simulated.
+        limit: Longest time for a collision, and for the preparation of a worker [s]; beyond it an entry fails.
+        memory: Largest memory of a worker [GB] (None: unlimited); beyond it an entry fails.
+        retry: Simulate failed and damaged entries again.
+        make_simulator: Makes the simulator of the settings, once in every worker; by default
+            `physical_simulator`.
 
     Raises:
         BadInput: A value makes no sense, or `out` was made with other settings or cannot be written.
@@ -84,20 +87,24 @@ def simulate_collisions(
         raise BadInput(f"a data set holds up to {CAPACITY} entries, got {collisions} collisions, {repeats} times each")
     _check_limits(limit, memory)
     speeds = (float(slow), float(fast))
-    # Without re-fracture nothing happens after the hit: then the frames are no part of the settings.
+    # Without re-fracture the frames after the hit do not matter and are no part of the settings.
     again = (refracture, frames if refracture else 0, repeats)
-    settings = Settings(shape, material, Grid(resolution).resolution, seed, speeds, scene, *again)
-    storage = create(out, settings)
-    if retry and (dropped := forget(storage)):
-        log.info("%s: %d entries that failed or are damaged are simulated again", storage.place, dropped)
-    missing = sorted(set(range(collisions * repeats)) - done(storage))
+    settings = DatasetSettings(shape, material, Grid(resolution).resolution, seed, speeds, scene, *again)
+    storage = create_dataset(out, settings)
+    if retry and (discarded := discard_incomplete(storage)):
+        log.info("%s: %d failed or damaged entries are simulated again", storage.location, discarded)
+    missing = sorted(set(range(collisions * repeats)) - recorded(storage))
     if missing:
-        place = str(storage.root.resolve()) if isinstance(storage, Folder) else storage.place
+        location = str(storage.root.resolve()) if isinstance(storage, Folder) else storage.location
         limits = limit, math.inf if memory is None else memory
-        job = Job(uuid.uuid4().hex, place, settings, prepare or physical_collisions, *limits)
+        job = Job(uuid.uuid4().hex, location, settings, make_simulator or physical_simulator, *limits)
         for _ in track(executor.run(job, missing), name="collisions", total=len(missing)):
             pass
-    return open_dataset(storage)
+    dataset = open_dataset(storage)
+    failures = Counter(record.reason for record in dataset.records if record.kind == "failed")
+    for reason, count in failures.most_common():
+        log.warning("%s: %d of %d collisions failed: %s", dataset.path, count, dataset.tried, reason)
+    return dataset
 
 
 def _check_limits(limit: float, memory: float | None) -> None:
@@ -106,19 +113,19 @@ def _check_limits(limit: float, memory: float | None) -> None:
     if memory is not None and not 0 < memory < math.inf:
         raise BadInput(f"memory must be positive, got {memory}")
     if memory is not None and not Path("/proc/self/statm").exists():
-        raise BadInput(f"memory {memory:g}: only Linux says how much a process takes; leave it out")
+        raise BadInput(f"memory {memory:g}: only Linux reports the memory of a process; leave it out")
 
 
-def physical_collisions(settings: Settings) -> Collide:
-    """A random scene of the settings' kind in the rigid-body world, then the fracture simulator."""
-    from deepfracture.dataset.refracture import broken_again
+def physical_simulator(settings: DatasetSettings) -> Simulator:
+    """Random scenes of the settings' kind in the rigid-body world, then the fracture simulator."""
+    from deepfracture.dataset.refracture import refracture
     from deepfracture.fracture import prepare_body, simulate
     from deepfracture.world import draw_scene, joint_impact
 
     shape, material = settings.shape, settings.material
     body = prepare_body(shape, material, Grid(settings.resolution))
 
-    def collide(rng: np.random.Generator, material_rng: np.random.Generator | None = None) -> Outcome:
+    def collide(rng: np.random.Generator, material_rng: np.random.Generator | None = None) -> CollisionResult:
         scene = draw_scene(
             settings.scene, shape, rng, material=material.name, speed=settings.speed_range, seed=settings.seed
         )
@@ -126,11 +133,11 @@ def physical_collisions(settings: Settings) -> Collide:
         rng = material_rng or rng
         cracking = None if impact is None else simulate(body, impact, rng)
         if cracking is None:
-            return Outcome(impact, None)
+            return CollisionResult(impact, None)
         pattern, generations = cracking.pattern, settings.refracture
         if generations:
             frames = settings.frames
-            pattern = broken_again(scene, shape, material, pattern, rng, frames=frames, generations=generations)
-        return Outcome(impact, pattern)
+            pattern = refracture(scene, shape, material, pattern, rng, frames=frames, generations=generations)
+        return CollisionResult(impact, pattern)
 
     return collide

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepfracture.carve import cut
-from deepfracture.dataset import Local, Outcome, simulate_collisions
+from deepfracture.dataset import CollisionResult, Local, simulate_collisions
 from deepfracture.fracture import material
 from deepfracture.geometry import builtin, faults, signed_distance
 from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape
@@ -117,13 +117,13 @@ def collide(settings):
     """Hits on the end of the bar break it into slabs: the stronger, the more and the thinner."""
     inside = signed_distance(settings.shape.mesh, Grid(settings.resolution)) > 0
 
-    def one(rng: np.random.Generator, again: np.random.Generator | None = None) -> Outcome:
+    def one(rng: np.random.Generator, again: np.random.Generator | None = None) -> CollisionResult:
         strength = int(rng.integers(1, 9))
         impact = Impact([[-1.0, 0, 0]], [[1.0, 0, 0]], [100.0 * strength], [[-1.0, 0, 0]], speed=1.0, radius=0.2)
         x = np.arange(settings.resolution)[:, None, None]
         labels = np.where(inside, x * 2 * strength // settings.resolution + 1, 0)
         pattern = FracturePattern(Grid(settings.resolution), labels, np.zeros(labels.shape))
-        return Outcome(impact, pattern if strength > 1 else None)
+        return CollisionResult(impact, pattern if strength > 1 else None)
 
     return one
 
@@ -133,7 +133,7 @@ def test_statistics_find_what_rises_with_the_impulse(tmp_path: Path) -> None:
 
     simulate_collisions(
         builtin("bar"), PLASTER, tmp_path / "set", collisions=12, executor=Local(1), resolution=32, seed=1,
-        speed_range=(1.0, 2.0), prepare=collide,
+        speed_range=(1.0, 2.0), make_simulator=collide,
     )  # fmt: skip
     collision_statistics(datasets=(tmp_path / "set",), small=0.9, reference=tmp_path, docs=tmp_path)
     about = json.loads((tmp_path / "statistics.json").read_text())["shapes"]["bar"]
@@ -184,7 +184,7 @@ def test_round_trip_compares_the_ways_and_skips_what_is_absent(
 
     simulate_collisions(
         builtin("bar"), PLASTER, tmp_path / "set", collisions=4, executor=Local(1), resolution=32, seed=1,
-        speed_range=(1.0, 2.0), prepare=collide,
+        speed_range=(1.0, 2.0), make_simulator=collide,
     )  # fmt: skip
     page = round_trip((tmp_path / "set",), patterns=2, data=tmp_path, reference=tmp_path, out=tmp_path / "out")
     lines = [line.split("|")[1:-1] for line in page.read_text().splitlines() if "simulated" in line]

@@ -14,19 +14,23 @@ import pytest
 
 from deepfracture.carve import cut
 from deepfracture.dataset import (
+    DatasetSettings,
     Local,
     Sample,
-    convert,
-    executor_named,
+    copy_dataset,
+    create_dataset,
+    make_executor,
     open_dataset,
+    recorded,
     simulate_collisions,
-    store,
-    verified,
+    verify_dataset,
+    write_sample,
+    write_unbroken,
 )
-from deepfracture.dataset.arrays import ARRAYS, entry_key
-from deepfracture.dataset.record import IMPACT_FIELDS
-from deepfracture.dataset.refracture import leaves, pattern_of
-from deepfracture.dataset.storage import storage_at
+from deepfracture.dataset.arrays import PATTERN_ARRAYS, shard_key
+from deepfracture.dataset.record import IMPACT_FIELDS, Record
+from deepfracture.dataset.refracture import final_fragments, voxelize
+from deepfracture.dataset.storage import open_storage
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.types import (
     BadInput,
@@ -55,7 +59,7 @@ from tests.tools.synthetic import (
 
 def run(out: Path, **changes):
     options = {"collisions": 8, "executor": Local(1), "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0)}
-    options = options | {"prepare": fake_collisions} | changes
+    options = options | {"make_simulator": fake_collisions} | changes
     return simulate_collisions(TETRAHEDRON, CLAY, out, **options)
 
 
@@ -73,11 +77,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_sample_comes_back_as_it_was_stored(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    settings = store.Settings(TETRAHEDRON, CLAY, 32, 0, (1.0, 9.0))
-    store.create(tmp_path / "set", settings)
+    settings = DatasetSettings(TETRAHEDRON, CLAY, 32, 0, (1.0, 9.0))
+    create_dataset(tmp_path / "set", settings)
     sample = random_sample(rng)
-    store.write_sample(tmp_path / "set", 4, sample)
-    store.write_unbroken(tmp_path / "set", 2, sample.impact, 77)
+    write_sample(tmp_path / "set", 4, sample)
+    write_unbroken(tmp_path / "set", 2, sample.impact, 77)
     found = open_dataset(tmp_path / "set")
     assert (len(found), found.tried, found.unbroken) == (1, 2, 1)
     assert found.max_impulse == sample.impact.magnitude[0]
@@ -92,11 +96,11 @@ def test_a_sample_comes_back_as_it_was_stored(tmp_path: Path) -> None:
 
 
 def test_many_labels_are_kept(tmp_path: Path) -> None:
-    store.create(tmp_path / "set", store.Settings(TETRAHEDRON, CLAY, 32, 0, (1.0, 9.0)))
+    create_dataset(tmp_path / "set", DatasetSettings(TETRAHEDRON, CLAY, 32, 0, (1.0, 9.0)))
     labels = np.arange(32**3).reshape(32, 32, 32) % 300
     sample = random_sample(np.random.default_rng(0))
     pattern = FracturePattern(Grid(32), labels, np.ones((32, 32, 32)))
-    store.write_sample(tmp_path / "set", 0, Sample(sample.impact, pattern, 0))
+    write_sample(tmp_path / "set", 0, Sample(sample.impact, pattern, 0))
     assert (open_dataset(tmp_path / "set")[0].pattern.labels == labels).all()
 
 
@@ -118,13 +122,13 @@ def test_a_pattern_of_any_size_is_kept(tmp_path: Path, resolution: int) -> None:
     grid = Grid(resolution)
     labels, distance = np.zeros(grid.shape, int), np.zeros(grid.shape, np.float16)
     labels[: resolution // 2, 3:, :] = np.random.default_rng(0).integers(1, 9, labels[: resolution // 2, 3:].shape)
-    storage = store.create(tmp_path / "set", store.Settings(TETRAHEDRON, CLAY, resolution, 0, (1.0, 9.0)))
+    storage = create_dataset(tmp_path / "set", DatasetSettings(TETRAHEDRON, CLAY, resolution, 0, (1.0, 9.0)))
     impact = random_sample(np.random.default_rng(0)).impact
-    store.write_sample(storage, 7, Sample(impact, FracturePattern(grid, labels, distance), 0))
+    write_sample(storage, 7, Sample(impact, FracturePattern(grid, labels, distance), 0))
     found = open_dataset(storage)[0].pattern
     assert (found.labels == labels).all() and (found.distance == 0).all()
     assert (zarr.open(tmp_path / "set", mode="r")["labels"][7] == labels).all()
-    assert not (tmp_path / "set" / entry_key("distance", 7)).exists()
+    assert not (tmp_path / "set" / shard_key("distance", 7)).exists()
 
 
 def test_an_entry_without_its_record_does_not_count(tmp_path: Path, finished: Path) -> None:
@@ -134,7 +138,7 @@ def test_an_entry_without_its_record_does_not_count(tmp_path: Path, finished: Pa
     record = open_dataset(folder).samples[0]
     (folder / record.key).unlink()
     assert len(open_dataset(folder)) == len(open_dataset(finished)) - 1
-    assert record.number not in store.done(folder)
+    assert record.number not in recorded(folder)
     run(folder)
     assert digests(folder) == digests(finished)
 
@@ -142,7 +146,7 @@ def test_an_entry_without_its_record_does_not_count(tmp_path: Path, finished: Pa
 def test_counts_say_what_was_tried(finished: Path) -> None:
     found = open_dataset(finished)
     assert found.tried == 8 and 0 < found.unbroken < 8
-    assert store.done(finished) == set(range(8))
+    assert recorded(finished) == set(range(8))
 
 
 def test_the_number_of_workers_changes_no_byte(tmp_path: Path, finished: Path) -> None:
@@ -158,11 +162,11 @@ def test_only_missing_collisions_are_done_again(tmp_path: Path, finished: Path) 
     none = next(record for record in data.records if record.kind == "unbroken")
     for record in (first, none):
         (folder / record.key).unlink()
-    (folder / entry_key("labels", first.number)).unlink()
-    before = (folder / entry_key("labels", second.number)).stat().st_mtime_ns
+    (folder / shard_key("labels", first.number)).unlink()
+    before = (folder / shard_key("labels", second.number)).stat().st_mtime_ns
     run(folder)
     assert digests(folder) == digests(finished)
-    assert (folder / entry_key("labels", second.number)).stat().st_mtime_ns == before
+    assert (folder / shard_key("labels", second.number)).stat().st_mtime_ns == before
 
 
 def test_a_finished_set_starts_no_worker(finished: Path) -> None:
@@ -171,12 +175,14 @@ def test_a_finished_set_starts_no_worker(finished: Path) -> None:
 
 def test_a_start_that_fails_reaches_the_caller(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="oven: too cold"):
-        run(tmp_path / "set", prepare=unready)
-    assert store.done(tmp_path / "set") == set()
+        run(tmp_path / "set", make_simulator=unready)
+    assert recorded(tmp_path / "set") == set()
 
 
 def test_poisoned_collisions_are_recorded_and_passed_over(tmp_path: Path) -> None:
-    found = run(tmp_path / "set", collisions=8, executor=Local(2), prepare=poisoned_collisions, limit=15.0, memory=0.6)
+    found = run(
+        tmp_path / "set", collisions=8, executor=Local(2), make_simulator=poisoned_collisions, limit=15.0, memory=0.6
+    )
     reasons = {record.number: record.reason for record in found.records if record.kind == "failed"}
     assert reasons[0] == "took longer than 15 s"
     assert reasons[1] == "took more than 0.6 GB"
@@ -191,9 +197,9 @@ def test_poisoned_collisions_are_recorded_and_passed_over(tmp_path: Path) -> Non
 def test_a_killed_worker_costs_no_sample(tmp_path: Path) -> None:
     clay = replace(CLAY, name=str(tmp_path / "trace"))
     options = {"collisions": 6, "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0), "executor": Local(1)}
-    made = simulate_collisions(TETRAHEDRON, clay, tmp_path / "set", prepare=killed_once, **options)
+    made = simulate_collisions(TETRAHEDRON, clay, tmp_path / "set", make_simulator=killed_once, **options)
     assert Path(clay.name).exists() and made.tried == 6 and made.failed == 0
-    simulate_collisions(TETRAHEDRON, clay, tmp_path / "quiet", prepare=fake_collisions, **options)
+    simulate_collisions(TETRAHEDRON, clay, tmp_path / "quiet", make_simulator=fake_collisions, **options)
     assert digests(tmp_path / "set") == digests(tmp_path / "quiet")
 
 
@@ -208,7 +214,7 @@ def test_two_jobs_fill_one_set(tmp_path: Path, finished: Path) -> None:
 def test_of_two_starts_with_other_settings_one_is_refused(tmp_path: Path) -> None:
     def start(seed: int) -> str:
         try:
-            store.create(tmp_path / "set", store.Settings(TETRAHEDRON, CLAY, 32, seed, (1.0, 9.0)))
+            create_dataset(tmp_path / "set", DatasetSettings(TETRAHEDRON, CLAY, 32, seed, (1.0, 9.0)))
         except BadInput as problem:
             return str(problem)
         return ""
@@ -223,20 +229,23 @@ def test_of_two_starts_with_other_settings_one_is_refused(tmp_path: Path) -> Non
 def test_a_start_that_was_killed_is_finished_by_the_next(tmp_path: Path, finished: Path) -> None:
     (tmp_path / "set").mkdir()
     shutil.copy(finished / "dataset.json", tmp_path / "set")
-    with pytest.raises(BadInput, match="the simulate command that began it"):
+    with pytest.raises(BadInput, match="the simulate command that started it"):
         open_dataset(tmp_path / "set")
     run(tmp_path / "set")
     assert digests(tmp_path / "set") == digests(finished)
 
 
-def test_what_the_solver_cannot_take_is_counted_and_passed_over(tmp_path: Path) -> None:
-    data = run(tmp_path / "set", collisions=24, prepare=stubborn_collisions)
+def test_what_the_solver_cannot_take_is_counted_and_passed_over(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = run(tmp_path / "set", collisions=24, make_simulator=stubborn_collisions)
+    assert f"{data.failed} of 24 collisions failed: the stress did not converge" in caplog.text
     assert 0 < data.failed < 12
     assert data.tried == 24 == len(data) + data.unbroken + data.failed
     reasons = [record.reason for record in data.records if record.kind == "failed"]
     assert reasons == ["the stress did not converge"] * data.failed
     before = digests(tmp_path / "set")
-    run(tmp_path / "set", collisions=24, prepare=failing_collisions)  # nothing is left to do
+    run(tmp_path / "set", collisions=24, make_simulator=failing_collisions)  # nothing is left to do
     assert digests(tmp_path / "set") == before
 
 
@@ -265,8 +274,8 @@ def test_another_material_is_named_by_the_property_that_differs(finished: Path) 
 
 
 def test_repeats_share_the_impact_but_not_the_material(tmp_path: Path) -> None:
-    plain = run(tmp_path / "plain", collisions=3, prepare=repeated_collisions)
-    made = run(tmp_path / "repeated", collisions=3, repeats=2, prepare=repeated_collisions)
+    plain = run(tmp_path / "plain", collisions=3, make_simulator=repeated_collisions)
+    made = run(tmp_path / "repeated", collisions=3, repeats=2, make_simulator=repeated_collisions)
     assert made.collisions() == [(0, 1), (2, 3), (4, 5)]
     assert plain.collisions() == [(0,), (1,), (2,)]
     for once, (first, second) in zip(plain, made.collisions(), strict=True):
@@ -299,7 +308,7 @@ def test_fragments_become_the_pattern_that_they_were_cut_from() -> None:
     )
     pattern = FracturePattern(grid, labels, np.where(inside, gap, 0.0))
     pieces = list(cut(shape, pattern, density=1000.0))
-    found = pattern_of(pieces, pattern)
+    found = voxelize(pieces, pattern)
     assert ((found.labels > 0) == (labels > 0)).all()  # every voxel once, no other
     assert found.count == len(pieces)
     agree = [np.bincount(labels[found.labels == n]).max() for n in range(1, found.count + 1)]
@@ -308,7 +317,7 @@ def test_fragments_become_the_pattern_that_they_were_cut_from() -> None:
     assert np.median(np.abs(found.distance - gap)[close]) < 0.25 * grid.spacing
 
 
-def test_leaves_are_what_did_not_break_again() -> None:
+def test_final_fragments_are_those_that_did_not_break_again() -> None:
     def piece(x: float) -> Fragment:
         mesh = TETRAHEDRON.mesh.moved(1.0, [x, 0, 0])
         return Fragment(mesh, np.arange(4), 1.0, np.zeros(3), np.eye(3))
@@ -326,7 +335,7 @@ def test_leaves_are_what_did_not_break_again() -> None:
         collision("shape0.001", 1, 11.0, 12.0),
         collision("shape0.001.000", 2, 11.1, 11.2),
     )
-    left = leaves(Ran(Recording(1 / 60, ()), done))
+    left = final_fragments(Ran(Recording(1 / 60, ()), done))
     assert [round(float(p.mesh.vertices[0, 0]) + 1, 6) for p in left] == [0.0, 11.1, 11.2, 12.0, 20.0]
 
 
@@ -376,10 +385,10 @@ def test_a_damaged_manifest_is_one_line(tmp_path: Path, finished: Path, damage: 
     assert str(folder) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def damaged_copy(finished: Path, folder: Path, damage: str) -> store.Record:
+def damaged_copy(finished: Path, folder: Path, damage: str) -> Record:
     shutil.copytree(finished, folder)
     record = open_dataset(folder).samples[1]
-    shard, note = folder / entry_key("labels", record.number), folder / record.key
+    shard, note = folder / shard_key("labels", record.number), folder / record.key
     if damage == "gone":
         shard.unlink()
     elif damage == "bit":
@@ -387,7 +396,7 @@ def damaged_copy(finished: Path, folder: Path, damage: str) -> store.Record:
         data[len(data) // 2] ^= 1
         shard.write_bytes(data)
     elif damage == "swapped":
-        shutil.copy(folder / entry_key("labels", open_dataset(folder).samples[0].number), shard)
+        shutil.copy(folder / shard_key("labels", open_dataset(folder).samples[0].number), shard)
     elif damage == "record":
         note.write_text(note.read_text().replace('"speed": ', '"speed": 1'))
     elif damage == "empty record":
@@ -413,93 +422,51 @@ def test_info_names_what_is_damaged_and_retry_mends_it(
     with caplog.at_level("INFO", "deepfracture"):
         info(str(tmp_path / "set"))
     assert f"entry {record.name} is damaged" in caplog.text and "--retry" in caplog.text
-    assert set(verified(tmp_path / "set")[1]) == {record.number}
+    assert set(verify_dataset(tmp_path / "set")[1]) == {record.number}
     run(tmp_path / "set", retry=True)
     assert digests(tmp_path / "set") == digests(finished)
 
 
 def test_a_copy_is_the_same_bytes_and_goes_on(tmp_path: Path, finished: Path) -> None:
     (tmp_path / "new").mkdir()
-    shutil.copy(finished / "dataset.json", tmp_path / "new")  # of a conversion that was killed
-    made, damaged = convert(finished, tmp_path / "new")
+    shutil.copy(finished / "dataset.json", tmp_path / "new")  # of a copy that was killed
+    made, damaged = copy_dataset(finished, tmp_path / "new")
     assert made.tried == 8 and damaged == 0
     assert digests(tmp_path / "new") == digests(finished)
     with pytest.raises(BadInput, match="onto itself"):
-        convert(finished, finished)
+        copy_dataset(finished, finished)
 
 
 def test_a_copy_leaves_out_what_is_damaged(tmp_path: Path, finished: Path) -> None:
     record = damaged_copy(finished, tmp_path / "set", "bit")
-    made, damaged = convert(tmp_path / "set", tmp_path / "new")
-    assert damaged == 1 and store.done(made.storage) == set(range(8)) - {record.number}
+    made, damaged = copy_dataset(tmp_path / "set", tmp_path / "new")
+    assert damaged == 1 and recorded(made.storage) == set(range(8)) - {record.number}
     run(tmp_path / "new")
     assert digests(tmp_path / "new") == digests(finished)
 
 
-def as_format_two(data: store.Dataset, folder: Path) -> None:
-    """Written as the program did that made such sets."""
-    import zarr
-    from zarr.codecs import ZstdCodec
-
-    def keep(group, name: str, values: np.ndarray) -> None:
-        codec = ZstdCodec(level=7)
-        array = group.create_array(name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=codec)
-        array[...] = values
-
-    mesh = data.shape.mesh
-    shape = zarr.open_group(folder / "shape", mode="w")
-    keep(shape, "vertices", mesh.vertices)
-    keep(shape, "faces", mesh.faces)
-    for record in data.records:
-        seed = {"seed": record.seed}
-        if record.kind == "broken":
-            sample = open_dataset(data.path)[data.samples.index(record)]
-            group = zarr.open_group(folder / "samples" / record.name, mode="w")
-            keep(group, "labels", sample.pattern.labels.astype(np.uint8))
-            keep(group, "distance", sample.pattern.distance.astype(np.float16))
-            hit = sample.impact
-            fields = {name: getattr(hit, name).tolist() for name in IMPACT_FIELDS}
-            group.attrs.update({**seed, "speed": hit.speed, "radius": hit.radius, **fields})
-        else:
-            (folder / "unbroken").mkdir(exist_ok=True)
-            strength = {"impulse": record.impulse, "speed": record.speed}
-            about = seed | {"impact": strength if record.impulse else None}
-            (folder / "unbroken" / f"{record.name}.json").write_text(json.dumps(about))
-    (folder / "failed").mkdir()
-    manifest = data.settings.manifest() | {"format": 2}
-    shape_about = manifest["shape"] | {"mesh": manifest["shape"]["sha256"][:16]}
-    manifest["shape"] = {name: shape_about[name] for name in ("name", "scale", "centre", "mesh")}
-    (folder / "dataset.json").write_text(json.dumps(manifest))
-
-
 @pytest.mark.parametrize("form", [1, 2])
-def test_former_formats_are_refused_and_converted(tmp_path: Path, finished: Path, form: int) -> None:
-    old = tmp_path / "old"
-    as_format_two(open_dataset(finished), old)
-    if form == 1:
-        values = json.loads((old / "dataset.json").read_text()) | {"format": 1}
-        (old / "dataset.json").write_text(
-            json.dumps({k: v for k, v in values.items() if k not in ("scene", "refracture", "frames", "repeats")})
-        )
-        (old / "failed").rmdir()
-    with pytest.raises(BadInput, match=f"format {form}; deepfracture convert .* renews it"):
-        open_dataset(old)
-    made, damaged = convert(old, tmp_path / "new")
-    assert made.tried == 8 and damaged == 0
-    assert digests(tmp_path / "new") == digests(finished)
-    convert(old, tmp_path / "new")
-    assert digests(tmp_path / "new") == digests(finished)
+def test_former_formats_are_refused_in_one_line(tmp_path: Path, finished: Path, form: int) -> None:
+    folder = tmp_path / "old"
+    shutil.copytree(finished, folder)
+    manifest = json.loads((folder / "dataset.json").read_text()) | {"format": form}
+    (folder / "dataset.json").write_text(json.dumps(manifest))
+    for refused in (lambda: open_dataset(folder), lambda: copy_dataset(folder, tmp_path / "new")):
+        with pytest.raises(BadInput, match=f"format {form}, this program reads 3") as caught:
+            refused()
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "new").exists()
 
 
 def test_executors_are_named() -> None:
-    assert executor_named("local", workers=None, address=None) == Local(2)
+    assert make_executor("local", workers=None, address=None) == Local(2)
     for wrong in (
         {"name": "lokal", "workers": None, "address": None},
         {"name": "local", "workers": 0, "address": None},
         {"name": "local", "workers": 1, "address": "10.0.0.1"},
     ):
         with pytest.raises(BadInput):
-            executor_named(**wrong)
-    assert set(ARRAYS) == {"labels", "distance"}
+            make_executor(**wrong)
+    assert set(PATTERN_ARRAYS) == {"labels", "distance"}
     with pytest.raises(BadInput, match="s3://BUCKET/PREFIX"):
-        storage_at("gs://bucket/prefix")
+        open_storage("gs://bucket/prefix")

@@ -13,14 +13,25 @@ from pathlib import Path
 
 import pytest
 
-from deepfracture.dataset import Local, convert, open_dataset, simulate_collisions, storage, store, verified
+from deepfracture.dataset import (
+    Dataset,
+    DatasetSettings,
+    Local,
+    copy_dataset,
+    create_dataset,
+    open_dataset,
+    simulate_collisions,
+    storage,
+    verify_dataset,
+)
+from deepfracture.dataset.storage import open_storage
 from deepfracture.runtime import extras
 from deepfracture.types import BadInput
 from tests.tools.synthetic import CLAY, TETRAHEDRON, fake_collisions
 
 moto = pytest.importorskip("moto.server", reason="moto, the S3 server of these tests, is not installed")
 obstore = pytest.importorskip("obstore", reason="obstore, which talks to buckets, is not installed")
-SETTINGS = store.Settings(TETRAHEDRON, CLAY, 32, 3, (1.0, 9.0))
+SETTINGS = DatasetSettings(TETRAHEDRON, CLAY, 32, 3, (1.0, 9.0))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -43,9 +54,11 @@ def bucket() -> Iterator[None]:
     server.stop()
 
 
-def run(place: Path | str, collisions: int = 8, **changes) -> store.Dataset:
+def run(place: Path | str, collisions: int = 8, **changes) -> Dataset:
     options = {"executor": Local(2), "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0)} | changes
-    return simulate_collisions(TETRAHEDRON, CLAY, place, collisions=collisions, prepare=fake_collisions, **options)
+    return simulate_collisions(
+        TETRAHEDRON, CLAY, place, collisions=collisions, make_simulator=fake_collisions, **options
+    )
 
 
 def objects(place: Path | str) -> dict[str, str]:
@@ -99,16 +112,16 @@ def test_it_goes_on_where_it_stopped(remote: str) -> None:
 
 
 def test_both_ways_and_back(tmp_path: Path, local: Path) -> None:
-    there, damaged = convert(local, "s3://data/copies/there")
+    there, damaged = copy_dataset(local, "s3://data/copies/there")
     assert damaged == 0 and there.tried == 8
-    convert("s3://data/copies/there", tmp_path / "back")
+    copy_dataset("s3://data/copies/there", tmp_path / "back")
     assert objects(tmp_path / "back") == objects(local)
 
 
 def test_of_two_starts_with_other_settings_one_is_refused() -> None:
     def start(seed: int) -> str:
         try:
-            store.create("s3://data/race/set", replace(SETTINGS, seed=seed))
+            create_dataset("s3://data/race/set", replace(SETTINGS, seed=seed))
         except BadInput as problem:
             return str(problem)
         return ""
@@ -120,19 +133,19 @@ def test_of_two_starts_with_other_settings_one_is_refused() -> None:
 
 
 def test_damage_is_named_and_mended(local: Path) -> None:
-    from deepfracture.dataset.arrays import entry_key
+    from deepfracture.dataset.arrays import shard_key
 
-    data, _ = convert(local, "s3://data/copies/damaged")
+    data, _ = copy_dataset(local, "s3://data/copies/damaged")
     record = data.samples[0]
-    data.storage.write(entry_key("distance", record.number), b"nonsense")
-    data.storage.erase(entry_key("labels", data.samples[1].number))
-    assert set(verified(data.path)[1]) == {record.number, data.samples[1].number}
+    data.storage.write(shard_key("distance", record.number), b"nonsense")
+    data.storage.delete(shard_key("labels", data.samples[1].number))
+    assert set(verify_dataset(data.path)[1]) == {record.number, data.samples[1].number}
     run(data.path, retry=True)
     assert objects(data.path) == objects(local)
 
 
 def test_what_is_too_large_is_not_fetched() -> None:
-    where = storage.storage_at("s3://data/large")
+    where = open_storage("s3://data/large")
     where.write("object", b"0" * 1001)
     with pytest.raises(BadInput, match="1001 bytes, more than the 1000"):
         where.read("object", 1000)
@@ -140,13 +153,13 @@ def test_what_is_too_large_is_not_fetched() -> None:
 
 
 def test_a_bucket_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    for wrong in (lambda: store.create("s3://nobody/set", SETTINGS), lambda: run("s3://nobody/set")):
+    for wrong in (lambda: create_dataset("s3://nobody/set", SETTINGS), lambda: run("s3://nobody/set")):
         with pytest.raises(BadInput, match=r"s3://nobody/set: cannot be .*bucket does not exist") as caught:
             wrong()
         assert "\n" not in str(caught.value)
     with pytest.raises(BadInput, match="not a data set"):
         open_dataset("s3://data/nothing")
-    monkeypatch.setattr(storage, "PATIENCE", timedelta(seconds=0.2))
+    monkeypatch.setattr(storage, "RETRY_TIMEOUT", timedelta(seconds=0.2))
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     with pytest.raises(BadInput, match="AWS_ENDPOINT_URL") as caught:
         open_dataset("s3://data/sets/one")

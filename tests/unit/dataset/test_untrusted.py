@@ -16,24 +16,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfracture.dataset import convert, open_dataset, store, verified
-from deepfracture.dataset.arrays import entry_key, mesh_key
-from deepfracture.dataset.record import Record, Stored, read_record
+from deepfracture.dataset import DatasetSettings, create_dataset, open_dataset, verify_dataset, write_sample
+from deepfracture.dataset.arrays import mesh_key, shard_key
+from deepfracture.dataset.record import ObjectInfo, read_record
 from deepfracture.types import BadInput
 from tests.tools.synthetic import CLAY, TETRAHEDRON, random_sample
 
 ENOUGH = 20e6
 """Bytes with which anything below can be found out."""
-SETTINGS = store.Settings(TETRAHEDRON, CLAY, 32, 0, (1.0, 9.0))
+SETTINGS = DatasetSettings(TETRAHEDRON, CLAY, 32, 0, (1.0, 9.0))
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A data set of two samples."""
     rng = np.random.default_rng(0)
-    storage = store.create(tmp_path / "set", SETTINGS)
+    storage = create_dataset(tmp_path / "set", SETTINGS)
     for k in range(2):
-        store.write_sample(storage, k, random_sample(rng))
+        write_sample(storage, k, random_sample(rng))
     return tmp_path / "set"
 
 
@@ -54,8 +54,8 @@ def claiming(size: int) -> bytes:
 def forged(folder: Path, shard: bytes, **changes: object) -> None:
     """Put `shard` in the place of entry 0's labels, with a record that agrees with it."""
     record = read_record(0, (folder / "entries/000000.json").read_bytes())
-    objects = {**record.objects, "labels": Stored.of(shard)}
-    (folder / entry_key("labels", 0)).write_bytes(shard)
+    objects = {**record.objects, "labels": ObjectInfo.of(shard)}
+    (folder / shard_key("labels", 0)).write_bytes(shard)
     (folder / "entries/000000.json").write_bytes(replace(record, objects=objects, **changes).to_bytes())
 
 
@@ -76,7 +76,7 @@ def test_shards_that_lie(folder: Path, name: str) -> None:
     with little_memory(), pytest.raises(BadInput, match="entry 000000: damaged sample") as caught:
         data[0]
     assert "\n" not in str(caught.value)
-    assert set(verified(folder)[1]) == {0}
+    assert set(verify_dataset(folder)[1]) == {0}
     assert data[1].pattern.count == 4
 
 
@@ -107,7 +107,7 @@ def test_records_that_lie(folder: Path, name: str) -> None:
     with little_memory(), pytest.raises(BadInput, match=r"entries/000001\.json: damaged") as caught:
         open_dataset(folder)
     assert "\n" not in str(caught.value)
-    data, damaged = verified(folder)
+    data, damaged = verify_dataset(folder)
     assert set(damaged) == {1} and data.tried == 1
 
 
@@ -118,8 +118,8 @@ def sealed(said: dict) -> bytes:
 
 def test_a_record_cannot_name_files(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "secret").write_bytes(b"secret")
-    about = Stored.of(b"secret")
-    said = read_record(0, (folder / "entries/000000.json").read_bytes())._said()
+    about = ObjectInfo.of(b"secret")
+    said = read_record(0, (folder / "entries/000000.json").read_bytes()).to_dict()
     said["objects"]["../../secret"] = {"bytes": about.size, "sha256": about.sha256}
     (folder / "entries/000000.json").write_bytes(sealed(said))
     assert set(open_dataset(folder).samples[0].objects) == {"labels", "distance"}
@@ -136,16 +136,16 @@ def test_links_that_lead_outside(folder: Path, tmp_path: Path, key: str) -> None
     if key.startswith("labels"):
         (folder / "entries/000000.json").unlink()  # what is there is not written again
     with pytest.raises(BadInput, match="leads out of the data set"):
-        store.create(folder, SETTINGS)
+        create_dataset(folder, SETTINGS)
         for k in (0, 2):
-            store.write_sample(folder, k, random_sample(np.random.default_rng(0)))
+            write_sample(folder, k, random_sample(np.random.default_rng(0)))
     assert [path for path in sorted(tmp_path.rglob("*")) if outside in path.parents] == [
         path for path in before if outside in path.parents
     ]
 
 
 def test_a_pipe_is_not_waited_for(folder: Path) -> None:
-    path = folder / entry_key("labels", 0)
+    path = folder / shard_key("labels", 0)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(BadInput, match="not a file"):
@@ -178,28 +178,3 @@ def test_a_mesh_that_lies(folder: Path) -> None:
     (folder / mesh_key("faces")).write_bytes(claiming(1 << 45))
     with little_memory(), pytest.raises(BadInput, match="not a readable data set"):
         open_dataset(folder)
-
-
-def test_former_formats_lie_no_better(tmp_path: Path) -> None:
-    """The header of a sample claims what it likes; its chunk too."""
-    old = tmp_path / "old"
-    new = store.create(tmp_path / "new", SETTINGS)
-    shutil.copytree(tmp_path / "new" / "shape", old / "shape")
-    about = SETTINGS.manifest() | {"format": 2}
-    about["shape"] = about["shape"] | {"mesh": about["shape"]["sha256"][:16]}
-    (old / "dataset.json").write_text(json.dumps(about))
-    record = Record(0, "broken", 1, random_sample(np.random.default_rng(0)).impact, 2)
-    impact = record._said()["impact"]
-    for name in ("labels", "distance"):
-        (old / "samples/000000" / name / "c/0/0").mkdir(parents=True)
-        (old / "samples/000000" / name / "c/0/0/0").write_bytes(claiming(1 << 45))
-        (old / "samples/000000" / name / "zarr.json").write_text('{"data_type": "uint8", "shape": [1e30]}')
-    (old / "samples/000000/zarr.json").write_text(json.dumps({"attributes": {**impact, "seed": 1}}))
-    with little_memory():
-        made, damaged = convert(old, tmp_path / "new")
-    assert damaged == 1 and made.tried == 0 and store.done(new) == set()
-    shutil.rmtree(old / "samples")
-    (tmp_path / "elsewhere").mkdir()
-    (old / "samples").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(BadInput, match="leads out of the data set"):
-        convert(old, tmp_path / "new")

@@ -17,7 +17,15 @@ from deepfracture.carve import voronoi_pattern
 from deepfracture.cli import main
 from deepfracture.compare import MEASURES, distances, traits_of
 from deepfracture.compare.information import joint_sizes, shared_information
-from deepfracture.dataset import Dataset, Sample, open_dataset, store
+from deepfracture.dataset import (
+    Dataset,
+    DatasetSettings,
+    Sample,
+    create_dataset,
+    open_dataset,
+    write_sample,
+    write_unbroken,
+)
 from deepfracture.evaluate import Evaluation, evaluate, load_evaluation, refuse_overlap, summarise, write_report
 from deepfracture.evaluate.collision import Measured, mean
 from deepfracture.evaluate.report import markdown
@@ -54,13 +62,13 @@ def simulated(impact: Impact, rng: np.random.Generator) -> FracturePattern:
 
 
 def make_set(path: Path, *, collisions: int, repeats: int, seed: int, **changes: object) -> Dataset:
-    settings = store.Settings(BAR, PLASTER, 32, seed, (4.0, 15.0), repeats=repeats)
-    store.create(path, replace(settings, **changes))  # type: ignore[arg-type]
+    settings = DatasetSettings(BAR, PLASTER, 32, seed, (4.0, 15.0), repeats=repeats)
+    create_dataset(path, replace(settings, **changes))  # type: ignore[arg-type]
     for k in range(collisions):
         rng = np.random.default_rng([seed, k])
         impact = hit(rng)
         for repeat in range(repeats):
-            store.write_sample(path, repeats * k + repeat, Sample(impact, simulated(impact, rng), k))
+            write_sample(path, repeats * k + repeat, Sample(impact, simulated(impact, rng), k))
     return open_dataset(path)
 
 
@@ -228,10 +236,10 @@ def test_motts_own_fragments_are_motts() -> None:
 
 def test_collisions_without_a_floor_are_left_out(tmp_path: Path) -> None:
     dataset = make_set(tmp_path / "set", collisions=3, repeats=2, seed=1)
-    store.write_unbroken(dataset.path, 6, None, 0)
-    store.write_unbroken(dataset.path, 7, None, 0)
-    store.write_unbroken(dataset.path, 8, None, 0)
-    store.write_sample(dataset.path, 9, dataset[0])
+    write_unbroken(dataset.path, 6, None, 0)
+    write_unbroken(dataset.path, 7, None, 0)
+    write_unbroken(dataset.path, 8, None, 0)
+    write_sample(dataset.path, 9, dataset[0])
     found = evaluate(open_dataset(dataset.path), {"chaos": chaos}, draws=1, seed=0)
     assert [collision.number for collision in found.collisions] == [0, 1, 2]
     assert found.left_out == 2
@@ -257,7 +265,7 @@ def test_what_was_trained_on_is_not_held_out(held: Dataset, train: Dataset, tmp_
         refuse_overlap(held, same_seed)
     refuse_overlap(held, make_set(tmp_path / "faster", collisions=0, repeats=1, seed=1000, speed_range=(5.0, 30.0)))
     copied = make_set(tmp_path / "copied", collisions=1, repeats=1, seed=7)
-    store.write_sample(copied.path, 5, held[3])
+    write_sample(copied.path, 5, held[3])
     with pytest.raises(BadInput, match="holds 3 of the patterns"):
         refuse_overlap(held, open_dataset(copied.path))
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deepfracture.carve import encode, segment, voronoi_pattern
-from deepfracture.dataset import Dataset, Sample, open_dataset, store
+from deepfracture.dataset import Dataset, DatasetSettings, Sample, create_dataset, open_dataset, write_sample
 from deepfracture.geometry import signed_distance
 from deepfracture.learn.checkpoint import read, write
 from deepfracture.learn.published import FieldConfig, kind_of, load_field_model, preset, train_field
@@ -50,7 +50,7 @@ def box() -> Shape:
 def made(folder: Path, count: int, impulses: int = 1) -> Dataset:
     """Voronoi patterns of few large fragments."""
     shape = box()
-    store.create(folder, store.Settings(shape, CLAY, 32, 0, (1.0, 9.0)))
+    create_dataset(folder, DatasetSettings(shape, CLAY, 32, 0, (1.0, 9.0)))
     surface = signed_distance(shape.mesh, GRID)
     for k in range(count):
         rng = np.random.default_rng(k)
@@ -59,7 +59,7 @@ def made(folder: Path, count: int, impulses: int = 1) -> Dataset:
         position = rng.uniform(-0.5, 0.5, (impulses, 3))
         hit = Impact(position, direction, 10.0 + k - np.arange(impulses), -direction, 3.0, 0.2)
         pattern = voronoi_pattern(rng.uniform(-1, 1, (3 + k, 3)) * (0.8, 0.6, 0.5), surface > 0, GRID)
-        store.write_sample(folder, k, Sample(hit, pattern, k))
+        write_sample(folder, k, Sample(hit, pattern, k))
     return open_dataset(folder)
 
 
@@ -251,11 +251,11 @@ def test_bfloat16_trains_too(three: Dataset, tmp_path: Path, device: str) -> Non
 def test_resolutions_are_learned_together(tmp_path: Path) -> None:
     shape, grid = box(), Grid(64)
     surface = signed_distance(shape.mesh, grid)
-    store.create(tmp_path / "data", store.Settings(shape, CLAY, 64, 0, (1.0, 9.0)))
+    create_dataset(tmp_path / "data", DatasetSettings(shape, CLAY, 64, 0, (1.0, 9.0)))
     pattern = voronoi_pattern(np.array([[-0.5, 0, 0], [0.5, 0, 0]]), surface > 0, grid)
     push = np.array([[1.0, 0, 0]])
     hit = Impact(np.array([[-1.0, 0, 0]]), push, [10.0], -push, 3.0, 0.2)
-    store.write_sample(tmp_path / "data", 0, Sample(hit, pattern, 0))
+    write_sample(tmp_path / "data", 0, Sample(hit, pattern, 0))
     config = replace(TINY, resolutions=(32, 64), width=0.1)
     card = train_field(open_dataset(tmp_path / "data"), tmp_path / "run", config, epochs=60, device="cpu")
     model = load_field_model(card.path, device="cpu")

@@ -16,7 +16,16 @@ import pytest
 
 from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.compare import variation_of_information
-from deepfracture.dataset import Dataset, Sample, open_dataset, store
+from deepfracture.dataset import (
+    Dataset,
+    DatasetSettings,
+    Sample,
+    create_dataset,
+    open_dataset,
+    write_sample,
+    write_unbroken,
+)
+from deepfracture.dataset.entries import read_sample
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import (
     AS_PUBLISHED,
@@ -48,7 +57,7 @@ def box() -> Shape:
 def made(folder: Path, count: int = 4) -> Dataset:
     """A data set of Voronoi patterns."""
     shape = box()
-    store.create(folder, store.Settings(shape, CLAY, 32, 0, (1.0, 9.0)))
+    create_dataset(folder, DatasetSettings(shape, CLAY, 32, 0, (1.0, 9.0)))
     surface = signed_distance(shape.mesh, GRID)
     for k in range(count):
         rng = np.random.default_rng(k)
@@ -56,8 +65,8 @@ def made(folder: Path, count: int = 4) -> Dataset:
         direction /= np.linalg.norm(direction)
         hit = Impact(rng.uniform(-0.5, 0.5, (1, 3)), direction, [10.0 + k], -direction, 3.0, 0.2)
         pattern = voronoi_pattern(rng.uniform(-1, 1, (3 + 2 * k, 3)) * (0.8, 0.6, 0.5), surface > 0, GRID)
-        store.write_sample(folder, k, Sample(hit, pattern, k))
-    store.write_unbroken(folder, count, None, 0)
+        write_sample(folder, k, Sample(hit, pattern, k))
+    write_unbroken(folder, count, None, 0)
     return open_dataset(folder)
 
 
@@ -266,18 +275,18 @@ def test_samples_are_read_once_and_not_kept(dataset: Dataset, tmp_path: Path, mo
     reads: list[str] = []
     alive: set[int] = set()
     most = 0
-    read = store.read_sample
+    read = read_sample
 
-    def counted(storage, settings, record):
+    def counted(storage, record, resolution):
         nonlocal most
         reads.append(record.name)
-        sample = read(storage, settings, replace(record, number=record.number % len(dataset)))
+        sample = read(storage, replace(record, number=record.number % len(dataset)), resolution)
         alive.add(id(sample.pattern))
         weakref.finalize(sample.pattern, alive.discard, id(sample.pattern))
         most = max(most, len(alive))
         return sample
 
-    monkeypatch.setattr(store, "read_sample", counted)
+    monkeypatch.setattr("deepfracture.dataset.dataset.read_sample", counted)
     train(many, tmp_path / "run", SMALL, epochs=1, device="cpu")
     assert reads == [f"{k:06d}" for k in range(30)]
     assert most <= 10 + 2
