@@ -144,8 +144,9 @@ class _Runs:
     address: str
 
     def __call__(
-        self, name: str, executor: Local | RayCluster, *, make_simulator: Callable[[DatasetSettings], Simulator] | None = None,
-        limit: float = 600.0, memory: float | None = None,
+        self, name: str, executor: Local | RayCluster, *,
+        make_simulator: Callable[[DatasetSettings], Simulator] | None = None, limit: float = 600.0,
+        memory: float | None = None,
     ) -> float:  # fmt: skip
         """Entries a second, once a quarter is stored: starting the workers is paid once and not counted."""
         begun = time.monotonic()

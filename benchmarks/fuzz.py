@@ -56,7 +56,7 @@ QUOTED = re.compile(rb'"[^"\\]{0,200}"')
 WATCH = [
     *(f"deepfracture.geometry.{name}" for name in ("read", "wavefront", "soup", "textures")),
     *(f"trimesh.exchange.{name}" for name in ("gltf", "ply", "stl", "off")), "trimesh.visual.material",
-    "deepfracture.world.scene", "deepfracture.cli.info", "deepfracture.fracture.cache", "deepfracture.dataset.store",
+    "deepfracture.world.scene", "deepfracture.cli.info", "deepfracture.fracture.cache", "deepfracture.dataset.settings",
     "deepfracture.learn.checkpoint", "deepfracture.learn.partition.model", "deepfracture.learn.partition.config",
     "deepfracture.learn.published.config",
 ]  # fmt: skip

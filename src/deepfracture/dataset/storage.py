@@ -268,8 +268,8 @@ class Bucket:
             message = re.search(r"<Message>(.*?)</Message>", text)
             reason = message[1] if message else text.partition(" Debug source")[0][:200]
             raise StorageError(
-                f"{self.location}: cannot be {action} ({reason}); set endpoint and credentials in the environment: AWS_ENDPOINT_URL, "
-                "AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY"
+                f"{self.location}: cannot be {action} ({reason}); set endpoint and credentials in the environment: "
+                "AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY"
             ) from error
 
 

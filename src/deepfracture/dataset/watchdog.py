@@ -1,4 +1,4 @@
-"""A watched worker process: an entry that hangs, takes too much memory or kills its worker costs itself, not the job."""
+"""Worker processes under a watchdog: an entry that hangs, exhausts memory or kills its worker fails, not the job."""
 
 from __future__ import annotations
 
