@@ -1,1 +1,1 @@
-"""What serves every room and knows none of them: files, locks, threads, progress, memory, optional libraries."""
+"""Services for every room: atomic files, locks, threads, progress, memory, optional libraries."""

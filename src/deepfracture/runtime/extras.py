@@ -1,4 +1,4 @@
-"""Libraries that not everybody needs: named in one line when they are missing, with the pip line that brings them."""
+"""Optional libraries: a missing one is named in one line, with the pip command that installs it."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from deepfracture.types import BadInput
 
 
 def is_installed(module: str) -> bool:
-    """Whether `module` is installed; it is not imported, so that asking costs nothing."""
+    """Whether `module` is installed; does not import it, so the check is cheap."""
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # of a dotted name, the package itself is missing
+    except ModuleNotFoundError:  # a dotted name whose package is missing
         return False
 
 
 def skip_unless_installed(file: str, module: str, *, extra: str) -> bool:
-    """Whether `file` cannot be written as `module` is missing; says so in one line of the log."""
+    """Whether to skip writing `file` because `module` is not installed; logs a warning if so."""
     if is_installed(module):
         return False
-    log.warning("%s left out: %s makes it", file, pip_command(extra))
+    log.warning("%s skipped: %s is not installed (%s)", file, module.partition(".")[0], pip_command(extra))
     return True
 
 
 def pip_command(*extras: str) -> str:
-    """What to type to install `extras` of this program."""
+    """The command that installs `extras` of this package."""
     return f"pip install 'deepfracture[{','.join(extras)}]'"
 
 
 def require(module: str, *, extra: str, to: str) -> ModuleType:
-    """Import an optional library, on first use.
+    """Import an optional library on first use.
 
     Args:
-        module: Name to import, dots allowed.
-        extra: Extra of this program that installs it, as in pyproject.toml.
-        to: What it is needed for, after "to": "play in the browser".
+        module: Name to import, may be dotted.
+        extra: Extra of this package that installs it, as in pyproject.toml.
+        to: Purpose, completing "is needed to": "play in the browser".
 
     Raises:
-        BadInput: It is not installed, or does not load; says which and what to type.
+        BadInput: It is not installed or fails to load; the message says which, and how to install it.
     """
     library = module.partition(".")[0]
     if not is_installed(library):
@@ -50,6 +50,6 @@ def require(module: str, *, extra: str, to: str) -> ModuleType:
     except ImportError as error:
         reason = str(error).strip().split("\n")[0]
         raise BadInput(
-            f"{library} is needed to {to}, is installed and does not load ({reason}): "
+            f"{library} is needed to {to} and is installed, but fails to load ({reason}): "
             f"{pip_command(extra)} --force-reinstall, or see `deepfracture doctor`"
         ) from error

@@ -1,7 +1,7 @@
-"""Files and folders that appear whole or not at all, whenever the process is killed and however full the disk is.
+"""Atomic writes: files and folders appear complete or not at all, even if the process is killed or the disk is full.
 
-What is being written lies in a scratch folder beside its place, `.deepfracture-XXXXXXXX`, with a locked file in it.
-The lock goes with the process: whoever writes to the same place next sweeps the scratch folders that nobody holds."""
+Output is written into a scratch folder beside its destination, `.deepfracture-XXXXXXXX`, which holds a locked file.
+The lock ends with the process: the next writer to the same place removes the scratch folders that are not locked."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from deepfracture.types import BadInput
 PREFIX = ".deepfracture-"
 LOCK = "lock"
 NEW, FORMER = "new", "former"
-"""Folders in a scratch folder: what is being written, and what it has just taken the place of."""
+"""Subfolders of a scratch folder: the output being written, and what it replaces."""
 ADVICE = {
-    errno.ENOSPC: "the disk is full; free some space or use another folder, and run again",
-    errno.EDQUOT: "your share of the disk is used up; free some space or use another folder, and run again",
-    errno.EFBIG: "it would be larger than files may be here; raise that limit (ulimit -f) or use another folder",
+    errno.ENOSPC: "the disk is full; free some space or use another folder, and rerun",
+    errno.EDQUOT: "the disk quota is exceeded; free some space or use another folder, and rerun",
+    errno.EFBIG: "the file exceeds the size limit; raise it (ulimit -f) or use another folder",
     errno.EIO: "the disk reports an error; use another folder",
     errno.EROFS: "that disk is read-only; use another folder",
     errno.EACCES: "permission denied; change its permissions or use another folder",
@@ -35,13 +35,13 @@ ADVICE = {
     errno.EISDIR: "a folder is in the way; use another name",
     errno.ENAMETOOLONG: "the name is too long; use a shorter one",
 }
-"""What can be done where a file cannot be written, by the number of the error."""
-PROBE = 1 << 16
-"""Bytes that have to fit where something failed for another reason than a full disk."""
+"""What to do when a file cannot be written, by errno."""
+PROBE_BYTES = 1 << 16
+"""Written after a failure of another kind, to tell whether the disk is full."""
 
 
 def explain_write_error(problem: OSError) -> str | None:
-    """One line: which file, what is wrong, what to do. None for errors that are not about writing files."""
+    """One line: the file, the cause and the remedy. None for errors that are not about writing files."""
     if problem.errno not in ADVICE or problem.filename is None:
         return None
     return f"{problem.filename}: {ADVICE[problem.errno]}"
@@ -49,12 +49,12 @@ def explain_write_error(problem: OSError) -> str | None:
 
 @contextmanager
 def atomic_file(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary file of the same name, moved onto `path` when the block ends well.
+    """A temporary file of the same name, which replaces `path` when the block succeeds.
 
     OSError names `path` where it cannot be written."""
     path = Path(path)
-    with _named(path), _beside(path) as folder:
-        with _probed(folder):
+    with _errors_name(path), _scratch_beside(path) as folder:
+        with _detect_full_disk(folder):
             yield folder / path.name
             _sync(folder / path.name)
         os.replace(folder / path.name, path)
@@ -62,41 +62,41 @@ def atomic_file(path: str | os.PathLike) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(folder: str | os.PathLike) -> Iterator[Path]:
-    """A temporary folder of the same name, moved into the place of `folder` when the block ends well.
+    """A temporary folder of the same name, which replaces `folder` and all its content when the block succeeds.
 
-    A former `folder` is dropped with all that is in it. OSError names `folder` where it cannot be written."""
+    OSError names `folder` where it cannot be written."""
     folder = Path(folder)
-    with _named(folder), _beside(folder) as temporary:
-        fresh = temporary / folder.name
-        with _probed(temporary):
-            fresh.mkdir()
-            yield fresh
-            _sync(fresh)
-        _put(fresh, folder)
+    with _errors_name(folder), _scratch_beside(folder) as temporary:
+        new = temporary / folder.name
+        with _detect_full_disk(temporary):
+            new.mkdir()
+            yield new
+            _sync(new)
+        _replace(new, folder)
 
 
 @contextmanager
 def atomic_contents(folder: str | os.PathLike, *, last: str) -> Iterator[Path]:
-    """A temporary folder, the content of which moves into `folder` when the block ends well.
+    """A temporary folder whose content moves into `folder` when the block succeeds; other files there are kept.
 
-    last: the file that goes there last; a former one is removed before the first. So wherever it is, all that
-    came with it is there, too. What else is in `folder` stays."""
+    last: the commit marker: the file that is moved last, and whose former version is removed first. Where it exists,
+    everything written with it exists."""
     folder = Path(folder)
-    with _named(folder / last), _beside(folder / last) as temporary:
-        with _probed(temporary):
+    with _errors_name(folder / last), _scratch_beside(folder / last) as temporary:
+        with _detect_full_disk(temporary):
             yield temporary
             _sync(temporary)
         names = sorted(entry.name for entry in temporary.iterdir())
         (folder / last).unlink(missing_ok=True)
         for name in [*(name for name in names if name != last), last]:
-            _put(temporary / name, folder / name)
+            _replace(temporary / name, folder / name)
 
 
 @contextmanager
 def scratch_folder(parent: str | os.PathLike | None = None) -> Iterator[Path]:
-    """An empty folder in `parent` (None: where the system keeps temporary files), which goes with the block.
+    """An empty folder in `parent` (None: the system's temporary folder), removed at the end of the block.
 
-    Those of processes that were killed are swept first."""
+    Folders of killed processes are removed first."""
     parent = Path(tempfile.gettempdir() if parent is None else parent)
     remove_stale(parent)
     folder, handle = _claim(parent)
@@ -111,21 +111,21 @@ def scratch_folder(parent: str | os.PathLike | None = None) -> Iterator[Path]:
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove what killed processes left in `folder`, and put back what they had moved out of its place."""
+    """Remove the scratch folders that killed processes left in `folder`, and restore what they were replacing."""
     for left in folder.glob(f"{PREFIX}*"):
         try:
             if left.is_symlink() or (os.name != "nt" and left.lstat().st_uid != os.getuid()):
                 continue
-            handle = acquire(left / LOCK, make=False)
-        except FileNotFoundError:  # killed before there was a lock, or just about to make one
+            handle = acquire(left / LOCK, create=False)
+        except FileNotFoundError:  # killed before it had a lock, or about to create one
             _remove_if_empty(left)
             continue
         except OSError:
-            continue  # somebody else's
+            continue  # another user's
         if handle is None:
             continue
         try:
-            linked = (left / FORMER).is_symlink()  # then it is no work of ours
+            linked = (left / FORMER).is_symlink()  # then it is not ours
             for former in () if linked else (left / FORMER).glob("*"):
                 if not (folder / former.name).exists():
                     os.replace(former, folder / former.name)
@@ -142,7 +142,7 @@ def _remove_if_empty(folder: Path) -> None:
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[Path]:
+def _scratch_beside(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     with scratch_folder(path.parent) as folder:
         yield folder
@@ -154,7 +154,7 @@ def _claim(parent: Path) -> tuple[Path, int]:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
         try:
             handle = acquire(folder / LOCK)
-        except FileNotFoundError:  # another process took it for a leftover
+        except FileNotFoundError:  # another process removed it as stale
             continue
         except OSError:
             _remove_if_empty(folder)
@@ -163,21 +163,21 @@ def _claim(parent: Path) -> tuple[Path, int]:
             return folder, handle
 
 
-def _put(fresh: Path, place: Path) -> None:
-    """Move a file or folder of a scratch folder into its place, and what has been there into the scratch folder."""
-    if not (fresh.is_dir() and os.path.lexists(place)):
-        os.replace(fresh, place)
+def _replace(new: Path, place: Path) -> None:
+    """Move a file or folder out of a scratch folder to its place, and a folder that it replaces into the scratch."""
+    if not (new.is_dir() and os.path.lexists(place)):
+        os.replace(new, place)
         return
-    if _exchange(fresh, place):
+    if _exchange(new, place):
         return
-    former = fresh.parent.parent / FORMER
+    former = new.parent.parent / FORMER
     former.mkdir(exist_ok=True)
-    os.replace(place, former / place.name)  # a kill here is repaired by `remove_stale`
-    os.replace(fresh, place)
+    os.replace(place, former / place.name)  # `remove_stale` repairs a kill between the two
+    os.replace(new, place)
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Swap two names at once, where the system can: Linux, on most file systems."""
+    """Swap two names atomically, where the system can: Linux, on most file systems."""
     if not sys.platform.startswith("linux"):
         return False
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
@@ -186,7 +186,7 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _sync(path: Path) -> None:
-    """Bring a file, or all files of a folder, to the disk, so that not even a power cut leaves a name without them."""
+    """Flush a file, or all files of a folder, to the disk: a power cut leaves no name without its content."""
     for file in path.rglob("*") if path.is_dir() else [path]:
         if file.is_file():
             with open(file, "rb+") as opened:
@@ -194,8 +194,8 @@ def _sync(path: Path) -> None:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Errors about temporary files are errors about `path`."""
+def _errors_name(path: Path) -> Iterator[None]:
+    """Report errors about temporary files as errors about `path`."""
     try:
         yield
     except OSError as problem:
@@ -207,9 +207,8 @@ def _named(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _probed(folder: Path) -> Iterator[None]:
-    """Where something fails in another way than with an OSError of the system, see if the disk is the reason: what
-    encoders and libraries say when it is full has nothing to do with it."""
+def _detect_full_disk(folder: Path) -> Iterator[None]:
+    """Raise the OSError of a full disk in place of another failure: encoders and libraries do not report it as such."""
     try:
         yield
     except BadInput:
@@ -217,7 +216,7 @@ def _probed(folder: Path) -> Iterator[None]:
     except Exception as problem:
         if not (isinstance(problem, OSError) and problem.errno in ADVICE):
             with open(folder / "probe", "wb") as file:
-                file.write(bytes(PROBE))
+                file.write(bytes(PROBE_BYTES))
                 file.flush()
                 os.fsync(file.fileno())
         raise

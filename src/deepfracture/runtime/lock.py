@@ -1,4 +1,7 @@
-"""One process at a time: locks that the operating system drops with the process that holds them."""
+"""Exclusive file locks that the operating system releases with the process that holds them.
+
+The filelock library does not replace them: its lock file stays behind, does not name the holder, and cannot be
+acquired without creating it, which the removal of stale scratch folders needs."""
 
 from __future__ import annotations
 
@@ -11,82 +14,81 @@ from pathlib import Path
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
 
-NAME = ".deepfracture.lock"
-LOCKLESS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-"""What file systems without locks answer."""
-PLACE = 1 << 30
-"""Byte that is locked on Windows, where a locked one cannot be read: far behind what the file says."""
+LOCK_FILE = ".deepfracture.lock"
+UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""Errors of file systems without locks."""
+LOCKED_BYTE = 1 << 30
+"""Byte that is locked on Windows, where a locked byte cannot be read: far beyond the content of the file."""
 
 
 @contextmanager
 def exclusive(folder: str | os.PathLike) -> Iterator[None]:
-    """Write to `folder`, as the only process that asks so. It is made where it is not there, and goes again if nothing
-    is written to it.
+    """Hold the lock of `folder` in this block. The folder is created where missing, and removed again if left empty.
 
     Raises:
-        BadInput: Another process is at it.
+        BadInput: Another process holds it; the message names the process.
     """
     folder = Path(folder)
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
-    path = folder / NAME
-    with _about(folder):
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    path = folder / LOCK_FILE
+    with _errors_name(folder):
         while True:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
                 handle = acquire(path)
                 break
-            except (FileExistsError, FileNotFoundError):  # another process has removed it meanwhile
+            except (FileExistsError, FileNotFoundError):  # another process removes it at the same time
                 if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
                     raise
     if handle is None:
-        raise BadInput(f"{folder}: {_owner(path)} is writing to it; wait until it has ended, or use another folder")
+        raise BadInput(f"{folder}: {_holder(path)} is writing to it; wait until it ends, or use another folder")
     try:
-        with _about(folder):
+        with _errors_name(folder):
             os.write(handle, str(os.getpid()).encode())
         yield
     finally:
         release(handle, path)
-        with suppress(OSError):  # something has been written
-            for place in made:
+        with suppress(OSError):  # not empty
+            for place in missing:
                 place.rmdir()
 
 
-def acquire(path: Path, *, make: bool = True) -> int | None:
-    """A lock on the file `path`, to be given back by `release`; None if somebody holds it, in whatever process.
+def acquire(path: Path, *, create: bool = True) -> int | None:
+    """Lock the file `path`; the descriptor to pass to `release`, or None if the lock is held, by any process or thread.
 
-    make: whether the file is made where it is not there; else FileNotFoundError. On file systems that know no
-    locks the file is taken as it is, with a warning, if it had to be made, and else left alone."""
-    flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | (os.O_CREAT if make else 0)
+    create: create the file where missing; otherwise FileNotFoundError. On file systems without locks, `create`
+    succeeds with a warning; otherwise OSError."""
+    flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | (os.O_CREAT if create else 0)
     while True:
         handle = os.open(path, flags, 0o666)
         try:
-            mine = _lock(handle)
+            locked = _lock(handle)
         except OSError as problem:
-            if problem.errno not in LOCKLESS or not make:
+            if problem.errno not in UNSUPPORTED or not create:
                 os.close(handle)
                 raise
-            log.warning("%s: this file system knows no locks; let only one process write there", path.parent)
+            log.warning("%s: this file system has no locks; let only one process write there", path.parent)
             return handle
-        if mine and _is(handle, path):
+        if locked and _same_file(handle, path):
             return handle
         os.close(handle)
-        if not mine:
+        if not locked:
             return None
-        # Its owner has removed it between our opening and our locking it: that was another file.
+        # The holder removed the file between opening and locking: try the new one.
 
 
 def release(handle: int, path: Path) -> None:
-    """Release what `acquire` returned; the file goes, too."""
-    if os.name == "nt":  # where an open file cannot be removed
+    """Release the lock that `acquire` returned, and remove its file."""
+    if os.name == "nt":  # an open file cannot be removed
         os.close(handle)
-        with suppress(PermissionError):  # the next one has it open already
+        with suppress(PermissionError):  # another process has opened it
             path.unlink(missing_ok=True)
         return
     path.unlink(missing_ok=True)
     os.close(handle)
 
 
-def _is(handle: int, path: Path) -> bool:
+def _same_file(handle: int, path: Path) -> bool:
     try:
         return os.path.samestat(os.fstat(handle), os.stat(path))
     except FileNotFoundError:
@@ -94,15 +96,15 @@ def _is(handle: int, path: Path) -> bool:
 
 
 @contextmanager
-def _about(folder: Path) -> Iterator[None]:
-    """Errors about the lock are errors about the folder: nothing can be written there."""
+def _errors_name(folder: Path) -> Iterator[None]:
+    """Report errors about the lock as errors about the folder: nothing can be written there."""
     try:
         yield
     except OSError as problem:
         raise OSError(problem.errno, problem.strerror, str(folder)) from problem
 
 
-def _owner(path: Path) -> str:
+def _holder(path: Path) -> str:
     try:
         number = path.read_text(encoding="ascii")
     except (OSError, ValueError):
@@ -114,8 +116,8 @@ if os.name == "nt":
     import msvcrt
 
     def _lock(handle: int) -> bool:
-        """Whether nobody else has it."""
-        os.lseek(handle, PLACE, os.SEEK_SET)
+        """Lock without waiting; whether that succeeded."""
+        os.lseek(handle, LOCKED_BYTE, os.SEEK_SET)
         try:
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
         except OSError as problem:
@@ -129,7 +131,7 @@ else:
     import fcntl
 
     def _lock(handle: int) -> bool:
-        """Whether nobody else has it."""
+        """Lock without waiting; whether that succeeded."""
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -1,4 +1,4 @@
-"""How much memory this process has, and how it gives back what is free."""
+"""Memory of this process, and its return to the system."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 
 def peak_mb() -> float:
-    """Highest resident memory of this process so far [MB]."""
+    """Peak resident memory of this process [MB]."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 def resident_mb() -> float:
-    """Resident memory of this process now; its highest so far where the system does not say [MB]."""
+    """Resident memory of this process, or its peak where the system does not tell [MB]."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
@@ -24,10 +24,10 @@ def resident_mb() -> float:
 
 
 def release_free_memory() -> None:
-    """Give memory that is free back to the system.
+    """Return free heap memory to the system.
 
-    glibc keeps what each thread frees for that thread's next wish, so a process holds the most that it ever needed,
-    and more: as many holes as it has threads. Other systems' libraries give memory back by themselves."""
+    glibc keeps what each thread frees in that thread's arena, so a process holds its peak and more: the free blocks of
+    every thread. Allocators of other systems return memory by themselves."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform.startswith("linux") else None
-    if trim is not None:  # musl has none
+    if trim is not None:  # absent from musl
         trim(0)

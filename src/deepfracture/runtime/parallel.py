@@ -1,13 +1,13 @@
-"""Work shared by all cores: compiled kernels that let go of the interpreter's lock (`nogil`), each on its own part."""
+"""Work shared by threads: compiled kernels that release the interpreter lock (`nogil`), each on its own part."""
 
 from __future__ import annotations
 
 import heapq
-import itertools
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, TypeVar
@@ -20,30 +20,27 @@ T = TypeVar("T")
 S = TypeVar("S")
 
 PARTS = 3
-"""Parts for each thread: who is done early, or is not held up by other programs, takes more of them."""
+"""Parts per thread: threads that finish early, or that other programs do not hold up, take more of them."""
 
-UNEVEN = 12
-"""The same, where nobody knows how long a part takes."""
+UNEVEN_PARTS = 12
+"""Parts per thread where the cost of a part is unknown."""
 
 BLOCK = 2048
-"""Rows of a block of `product`."""
+"""Rows of a block of `parallel_matmul`."""
 
 ONE_THREAD: Mapping[str, str] = dict.fromkeys(
     ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
-"""What a process reads when it starts."""
+"""Environment variables that a process reads at its start."""
 
-LINGER = 2_000_000
-"""Turns of a loop, about a millisecond, for which a thread stays awake to wait for another."""
-
-_busy = threading.local()
-_starting = threading.Lock()
+_worker = threading.local()
+_environment = threading.Lock()
 
 
 @contextmanager
 def single_threaded_processes() -> Iterator[None]:
-    """Processes that start meanwhile use one thread: quickest where there are many, and sums always come out alike."""
-    with _starting:
+    """Processes started in this block use one thread: fastest with many processes, and sums are reproducible."""
+    with _environment:
         before = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)
         try:
@@ -58,8 +55,8 @@ def single_threaded_processes() -> Iterator[None]:
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Products of matrices on the calling thread: OpenBLAS's own threads stay awake for 20 ms after each, and whatever
-    shares its work next goes at half its speed."""
+    """Matrix products on the calling thread: OpenBLAS's own threads spin for 20 ms after each one, which halves the
+    speed of any parallel work that follows."""
     with _blas().limit(limits=1, user_api="blas"):
         yield
 
@@ -72,160 +69,103 @@ def _blas() -> Any:
 
 
 def parallel_matmul(rows: Floats32, matrix: Floats32) -> Floats32:
-    """rows @ matrix, blocks of rows side by side: the same for any number of threads."""
-    found = np.empty((len(rows), matrix.shape[1]), np.float32)
+    """`rows @ matrix`, blocks of rows in parallel: the same bytes for any number of threads."""
+    product = np.empty((len(rows), matrix.shape[1]), np.float32)
 
-    def blocks(first: int, last: int) -> None:
+    def multiply(first: int, last: int) -> None:
         for n in range(first, last):
             block = slice(n * BLOCK, (n + 1) * BLOCK)
-            np.matmul(rows[block], matrix, out=found[block])
+            np.matmul(rows[block], matrix, out=product[block])
 
     with single_threaded_blas():
-        parallel_for(blocks, -(-len(rows) // BLOCK), least=1)
-    return found
+        parallel_for(multiply, -(-len(rows) // BLOCK), least=1)
+    return product
 
 
 def thread_count() -> int:
-    """Threads that kernels may use: NUMBA_NUM_THREADS, or else the cores of this process."""
+    """Threads that kernels may use: NUMBA_NUM_THREADS, by default the cores available to this process."""
     from numba import config
 
     return int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 def parallel_for(job: Callable[[int, int], T], count: int, *, least: int, uneven: bool = False) -> list[T]:
-    """`job(first, last)` of consecutive parts of range(count), side by side; the results in their order.
+    """`job(first, last)` on consecutive parts of range(count) in parallel; the results in order.
 
-    What comes out must not depend on the parts. Below 2 `least` it is one part, done at once; so it is inside another
-    shared work. Where some parts take much longer than others (`uneven`) there are more of them."""
+    The concatenated results must not depend on the parts. Below 2 `least` items there is a single part, run by the
+    caller; so it is inside other parallel work. `uneven`: more and smaller parts, as some take much longer."""
     threads = thread_count()
-    parts = min((UNEVEN if uneven else PARTS) * threads, count // least)
-    if parts < 2 or threads < 2 or getattr(_busy, "here", False):
+    parts = min((UNEVEN_PARTS if uneven else PARTS) * threads, count // least)
+    if parts < 2 or threads < 2 or _inside():
         return [job(0, count)]
-    return _shared([_part(job, count * n // parts, count * (n + 1) // parts) for n in range(parts)], threads)
+    return _run([partial(job, count * n // parts, count * (n + 1) // parts) for n in range(parts)], threads)
 
 
 def parallel_map(job: Callable[[int], T], sizes: Sequence[float]) -> list[T]:
-    """`job(n)` for each n of range(len(sizes)), side by side; the results in their order.
+    """`job(n)` for each n of range(len(sizes)) in parallel; the results in order.
 
-    `sizes` say how much work each is: they are put into groups of about the same size, the largest first."""
+    `sizes`: relative cost of each job. Jobs are packed into groups of similar cost, the largest first (longest
+    processing time rule, Graham 1969)."""
     threads = thread_count()
     parts = min(PARTS * threads, len(sizes))
-    if parts < 2 or threads < 2 or getattr(_busy, "here", False):
+    if parts < 2 or threads < 2 or _inside():
         return [job(n) for n in range(len(sizes))]
     groups: list[tuple[float, list[int]]] = [(0.0, []) for _ in range(parts)]
     for n in sorted(range(len(sizes)), key=lambda n: -sizes[n]):
-        total, group = heapq.heappop(groups)  # the least so far; one with the same total that has fewer comes first
+        total, group = heapq.heappop(groups)  # the cheapest; among equals the one of fewer jobs
         heapq.heappush(groups, (total + sizes[n], [*group, n]))
-    found: list[Any] = [None] * len(sizes)
+    results: list[Any] = [None] * len(sizes)
 
-    def each(group: list[int]) -> None:
+    def run_group(group: list[int]) -> None:
         for n in group:
-            found[n] = job(n)
+            results[n] = job(n)
 
-    _shared([partial(each, group) for _, group in sorted(groups, reverse=True)], threads)
-    return found
+    _run([partial(run_group, group) for _, group in sorted(groups, reverse=True)], threads)
+    return results
 
 
 def parallel_invoke(one: Callable[[], T], other: Callable[[], S]) -> tuple[T, S]:
-    """The results of two jobs, done side by side."""
-    if thread_count() < 2 or getattr(_busy, "here", False):
+    """The results of two jobs that run in parallel."""
+    if thread_count() < 2 or _inside():
         return one(), other()
     jobs: list[Callable[[], Any]] = [one, other]
-    first, second = _shared(jobs, 2)
+    first, second = _run(jobs, 2)
     return first, second
 
 
-def _part(job: Callable[[int, int], T], first: int, last: int) -> Callable[[], T]:
-    return lambda: job(first, last)
+def _inside() -> bool:
+    """Whether this thread is running a part of parallel work."""
+    return getattr(_worker, "active", False)
 
 
-def _shared(jobs: list[Callable[[], T]], threads: int) -> list[T]:
-    work = _Work(jobs)
-    lingering = _lingering(os.getpid())
-    for _ in range(threads - 1):
+def _run(jobs: list[Callable[[], T]], threads: int) -> list[T]:
+    """Run the jobs on the calling thread and on helpers from the pool: each takes the next job until none is left.
+
+    Helpers that have not started by then are cancelled, so a busy machine is not waited for."""
+    results: list[Any] = [None] * len(jobs)
+    left = iter(range(len(jobs)))  # shared: `next` is atomic
+
+    def work() -> None:
+        _worker.active = True
         try:
-            helper = lingering.pop()
-        except IndexError:
-            _pool(os.getpid(), threads).submit(_help, work)
-        else:
-            helper.work = work
-            helper.called[0] = 1
-    work.share()
-    work.wait()
-    if work.failure is not None:
-        raise work.failure
-    return work.done
+            for n in left:
+                results[n] = jobs[n]()
+        finally:
+            deque(left, maxlen=0)  # after a failure the rest is dropped
+            _worker.active = False
 
-
-class _Work:
-    """Jobs, and what has come of them. A helper that has not come to start is not waited for."""
-
-    def __init__(self, jobs: list[Callable[[], Any]]) -> None:
-        self.jobs = jobs
-        self.done: list[Any] = [None] * len(jobs)
-        self.failure: BaseException | None = None
-        self._left = np.ones(len(jobs), np.int64)
-        self._turn = itertools.count()
-        self._ended = threading.Event()
-
-    def share(self) -> None:
-        """Do jobs until none is left that nobody does. After a failure the others are dropped."""
-        _busy.here = True
-        while (n := next(self._turn)) < len(self.jobs):
-            try:
-                if self.failure is None:
-                    self.done[n] = self.jobs[n]()
-            except BaseException as problem:  # told by the thread that waits for the jobs
-                self.failure = problem
-            self._left[n] = 0
-        _busy.here = False
-        if not self._left.any():
-            self._ended.set()
-
-    def wait(self) -> None:
-        """Until the jobs that others do are done."""
-        from deepfracture.runtime.spin import spin_until_zero
-
-        if not spin_until_zero(self._left, LINGER):
-            self._ended.wait()
-
-
-class _Helper:
-    """A thread that has helped and stays awake for a moment, as more to do often comes soon."""
-
-    def __init__(self) -> None:
-        self.called = np.zeros(1, np.int64)
-        self.work: _Work | None = None
-
-
-def _help(work: _Work) -> None:
-    """What a thread of the pool does."""
-    from deepfracture.runtime.spin import spin_until
-
-    me, lingering = _Helper(), _lingering(os.getpid())
-    while True:
-        work.share()
-        me.called[0] = 0
-        lingering.append(me)
-        if not spin_until(me.called, 1, LINGER):
-            try:
-                lingering.remove(me)
-            except ValueError:  # just taken from there: the call comes at once
-                while not spin_until(me.called, 1, LINGER):
-                    pass
-            else:
-                return
-        assert me.work is not None
-        work = me.work
+    helpers = [_pool(os.getpid(), threads).submit(work) for _ in range(threads - 1)]
+    try:
+        work()
+    finally:
+        started = [helper for helper in helpers if not helper.cancel()]
+        wait(started)
+    for helper in started:
+        helper.result()  # raises its failure
+    return results
 
 
 @cache
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
-    """The threads of a process; a fork has none of its parent's."""
+    """The threads of a process: a fork inherits none of its parent's."""
     return ThreadPoolExecutor(threads, thread_name_prefix="deepfracture")
-
-
-@cache
-def _lingering(process: int) -> list[_Helper]:
-    """Helpers of a process that are awake and have nothing to do."""
-    return []

@@ -1,4 +1,4 @@
-"""What a long job tells about itself: a logger, timed stages, and progress with the time left."""
+"""Feedback of long jobs: a logger, timed stages, and progress bars with the time left."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("deepfracture")
 T = TypeVar("T")
-PATIENCE = 2.0
-"""What takes longer than this is shown while it runs, on a terminal [s]."""
-EVERY = 20.0
-"""Time between two lines on progress elsewhere [s]."""
+SHOW_AFTER = 2.0
+"""Run time after which a job is shown on a terminal [s]."""
+LOG_EVERY = 20.0
+"""Time between two progress lines in the log, where there is no terminal [s]."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ _stages: ContextVar[list[Stage] | None] = ContextVar("stages", default=None)
 
 @contextmanager
 def collect_stages() -> Iterator[list[Stage]]:
-    """Everything that `stage` times inside this block ends up in the list, and in that of a block around it."""
+    """Collect the stages timed inside this block in the list, and in that of an enclosing block."""
     stages: list[Stage] = []
     outer = _stages.get()
     token = _stages.set(stages)
@@ -55,15 +55,15 @@ def collect_stages() -> Iterator[list[Stage]]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Time a named step; logged at INFO and collected if someone asked."""
+    """Time a named step; it is logged at INFO and collected by `collect_stages`."""
     start = time.perf_counter()
-    with _board.running(name, None):
+    with _display.running(name, None):
         yield
     record_stage(name, time.perf_counter() - start)
 
 
 def record_stage(name: str, seconds: float) -> None:
-    """Report a step that took `seconds` in all, as `stage` does."""
+    """Report a step that took `seconds` in total, as `stage` does."""
     done = Stage(name, seconds, peak_mb())
     log.info("%-24s %8.3f s %8.0f MB", done.stage, done.seconds, done.peak_mb)
     stages = _stages.get()
@@ -72,7 +72,7 @@ def record_stage(name: str, seconds: float) -> None:
 
 
 class StageTimer:
-    """Adds up the time of named steps that take turns many times."""
+    """Accumulates the time of named steps that alternate many times."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -84,14 +84,14 @@ class StageTimer:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def record(self) -> None:
-        """Report each step once."""
+        """Report the total of each step."""
         for name, seconds in self.seconds.items():
             record_stage(name, seconds)
 
 
 @dataclass(eq=False)
 class _Job:
-    """What is running."""
+    """A running job."""
 
     name: str
     total: int | None
@@ -104,13 +104,15 @@ class _Job:
 
     @property
     def left(self) -> float | None:
-        """Seconds left, if the rest goes as what is done did."""
+        """Estimate of the remaining time at the average rate so far [s]."""
         return self.seconds / self.done * (self.total - self.done) if self.total and self.done else None
 
 
-class _Board:
-    """What has been running for a while, under the log on a terminal: with a bar and the time left where these are
-    known, and gone when it is done."""
+class _Display:
+    """Jobs that have run for `SHOW_AFTER`, below the log on a terminal: each with a bar and the time left where they
+    are known, until it is done.
+
+    rich.progress has no delayed start, and importing rich takes 0.13 s: it is imported once a job has run that long."""
 
     def __init__(self) -> None:
         self.disabled = False
@@ -128,7 +130,7 @@ class _Board:
         with self._lock:
             self._jobs.append(job)
             if self._timer is None:
-                self._timer = Timer(PATIENCE, self._show)
+                self._timer = Timer(SHOW_AFTER, self._show)
                 self._timer.daemon = True
                 self._timer.start()
         try:
@@ -165,7 +167,7 @@ class _Board:
 
         table = Table.grid(padding=(0, 1))
         for job in list(self._jobs):
-            if job.seconds < PATIENCE:
+            if job.seconds < SHOW_AFTER:
                 continue
             left = "" if job.left is None else f"{_clock(job.left)} left"
             count = f"{job.done} of {job.total}" if job.total else ""
@@ -179,22 +181,22 @@ def _clock(seconds: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
 
-_board = _Board()
+_display = _Display()
 
 
 def disable_progress(disabled: bool = True) -> None:
-    """Show no progress, whatever takes how long; `disable_progress(False)` shows it again."""
-    _board.disabled = disabled
+    """Show no progress at all; `disable_progress(False)` reverts it."""
+    _display.disabled = disabled
 
 
 def track(items: Iterable[T], *, name: str, total: int | None = None) -> Iterator[T]:
-    """Iterate with a bar and the time left on a terminal, and a log line now and then elsewhere."""
+    """Iterate with a bar and the time left on a terminal, or a log line every `LOG_EVERY` elsewhere."""
     total = len(items) if total is None and hasattr(items, "__len__") else total  # type: ignore[arg-type]
     terminal, last = sys.stderr.isatty(), time.perf_counter()
-    with _board.running(name, total) as job:
+    with _display.running(name, total) as job:
         for done, item in enumerate(items):
             job.done = done
-            if not terminal and not _board.disabled and done and time.perf_counter() - last > EVERY:
+            if not terminal and not _display.disabled and done and time.perf_counter() - last > LOG_EVERY:
                 last = time.perf_counter()
                 log.warning("%s: %d of %s, %.0f s left", name, done, total or "?", job.left or float("nan"))
             yield item

@@ -144,7 +144,7 @@ def test_progress_shows_the_time_left_on_a_terminal(monkeypatch: pytest.MonkeyPa
 
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setattr(progress, "PATIENCE", 0.2)
+    monkeypatch.setattr(progress, "SHOW_AFTER", 0.2)
     monkeypatch.setenv("TERM", "xterm")
     progress.disable_progress(False)
     for _ in track(range(12), name="twelve steps"):

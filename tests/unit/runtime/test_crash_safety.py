@@ -194,7 +194,7 @@ def test_the_lock_of_a_dead_process_does_not_hold(tmp_path: Path) -> None:
             die()
 
     killed(dies)
-    assert names(tmp_path) == [lock.NAME]
+    assert names(tmp_path) == [lock.LOCK_FILE]
     with exclusive(tmp_path):
         pass
     assert not names(tmp_path)

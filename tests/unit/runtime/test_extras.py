@@ -57,7 +57,7 @@ def test_what_is_missing_is_one_line_with_the_remedy() -> None:
 def test_what_does_not_load_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "torn_library.py").write_text("raise ImportError('libGL.so.1: no such file\\nsecond line')")
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(BadInput, match=r"does not load \(libGL.so.1: no such file\)") as caught:
+    with pytest.raises(BadInput, match=r"fails to load \(libGL.so.1: no such file\)") as caught:
         require("torn_library", extra="render", to="draw")
     assert "\n" not in str(caught.value)
 
@@ -66,7 +66,9 @@ def test_a_file_is_left_out_with_one_line(caplog: pytest.LogCaptureFixture) -> N
     with caplog.at_level(logging.WARNING, "deepfracture"):
         assert skip_unless_installed("film.mp4", "no_such_library", extra="render")
         assert not skip_unless_installed("film.mp4", "json", extra="render")
-    assert caplog.messages == ["film.mp4 left out: pip install 'deepfracture[render]' makes it"]
+    assert caplog.messages == [
+        "film.mp4 skipped: no_such_library is not installed (pip install 'deepfracture[render]')"
+    ]
 
 
 def test_every_extra_that_is_named_exists() -> None:
@@ -107,8 +109,10 @@ def test_shatter_without_viser_and_ffmpeg_leaves_two_files_out(
     main(["shatter", "bar", "--breaker", "voronoi", "--resolution", "32", "--speed", "16", "--out", str(tmp_path)])
     assert not (tmp_path / "animation.html").exists() and not (tmp_path / "animation.mp4").exists()
     assert (tmp_path / "animation.glb").stat().st_size > 1000 and (tmp_path / "picture.png").exists()
-    assert "animation.html left out: pip install 'deepfracture[play]' makes it" in caplog.messages
-    assert "animation.mp4 left out: pip install 'deepfracture[render]' makes it" in caplog.messages
+    assert "animation.html skipped: viser is not installed (pip install 'deepfracture[play]')" in caplog.messages
+    assert (
+        "animation.mp4 skipped: imageio_ffmpeg is not installed (pip install 'deepfracture[render]')" in caplog.messages
+    )
 
 
 def test_data_sets_without_zarr_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

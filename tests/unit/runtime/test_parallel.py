@@ -47,7 +47,7 @@ def test_what_is_apportioned_comes_in_order(sizes: list[float]) -> None:
 
 
 def test_the_largest_does_not_wait_behind_the_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threads, "_shared", lambda jobs, _: [job() for job in jobs])  # in the order of their turns
+    monkeypatch.setattr(threads, "_run", lambda jobs, _: [job() for job in jobs])  # in the order of their turns
     order: list[int] = []
     parallel_map(order.append, [1.0] * 30 + [50.0])
     assert order[0] == 30 and sorted(order) == list(range(31))
