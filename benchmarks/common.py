@@ -17,7 +17,7 @@ from deepfracture.geometry import load_shape
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, FracturePattern, Impact, Ints, Material, Shape
-from deepfracture.world import first_impact, learning_scene
+from deepfracture.world import first_impact, single_ball_scene
 
 ROOT = Path(__file__).parents[1]
 """The repository."""
@@ -52,7 +52,7 @@ def throw(
     for attempt in range(MISSES):
         own = int(np.random.SeedSequence([name, seed, number, attempt]).generate_state(1, np.uint64)[0])
         rng = np.random.default_rng(own)
-        scene = learning_scene(shape.name, shape, rng, material=material.name, speed=speed, radius=radius)
+        scene = single_ball_scene(shape.name, shape, rng, material=material.name, speed=speed, radius=radius)
         impact = first_impact(scene, shape, materials={material.name: material})
         if impact is not None:
             return Hit(impact, own, rng)

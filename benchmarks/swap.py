@@ -19,14 +19,17 @@ from common import DATA, MISSES, ROOT, SPEEDS, shape_named, start, table, write_
 
 from deepfracture.breakers import make_breaker
 from deepfracture.fracture import material
+from deepfracture.geometry import MassProperties
 from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.learn import embedded_model
 from deepfracture.runtime.files import atomic_file
-from deepfracture.types import BadInput, Floats, Fragments, Grid, Material, Shape
-from deepfracture.world import ENGINES, Scene, first_impact, learning_scene
-from deepfracture.world.engine import Mass, Motion, Surface, open_engine
-from deepfracture.world.stage import Hit, Stage
+from deepfracture.types import BadInput, ContactMaterial, Floats, Fragments, Grid, Material, Shape
+from deepfracture.world import ENGINES, Scene, first_impact, single_ball_scene
+from deepfracture.world.collisions import CollisionEvent
+from deepfracture.world.engine import BodyState
+from deepfracture.world.engines import open_engine
+from deepfracture.world.physics_world import PhysicsWorld
 
 SHAPES = ("pot", "bunny", "base", "mug", "squirrel")
 LEAST = 12
@@ -40,7 +43,7 @@ FINE = 960
 """Steps a second of the plotted scene."""
 BEFORE, AFTER = 10, 30
 """Of those steps that are drawn."""
-Moving = list[tuple[Mass, Motion]]
+Moving = list[tuple[MassProperties, BodyState]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +95,11 @@ def breaks_of(shape: Shape, made_of: Material, grid: Grid, model: Path | None) -
         breaker = make_breaker(name, shape, made_of, grid, model=own)
         rng = np.random.default_rng(3)
         for _ in range(MISSES):
-            scene = learning_scene(shape.name, shape, rng, material=made_of.name, speed=(2 * SPEEDS[0], SPEEDS[1]))
+            scene = single_ball_scene(shape.name, shape, rng, material=made_of.name, speed=(2 * SPEEDS[0], SPEEDS[1]))
             impact = first_impact(scene, shape, materials={made_of.name: made_of})
             fragments = impact and breaker(shape, impact, rng)
             if fragments and len(fragments) >= LEAST:
-                spinning = replace(scene.shapes[0], spin=SPIN)
+                spinning = replace(scene.shapes[0], angular_velocity=SPIN)
                 found.append(Break(shape, replace(scene, shapes=(spinning,)), name, fragments))
                 break
         else:
@@ -136,7 +139,7 @@ def motion_table(breaks: list[Break], made_of: Material, engines: list[str]) -> 
         for engine in engines:
             hit, begin, swapped = swapped_motions(one, made_of, engine)
             (p, about, _), (q, then, _) = momentum(begin), momentum(swapped)
-            has = energies(one.fragments, moving_whole(hit, one.fragments, one.scene.push))
+            has = energies(one.fragments, moving_whole(hit, one.fragments, one.scene.impulse_fraction))
             gains = [gain / has for gain in at_rest(engine, one.fragments, hulls, [1, 10, 60])]
             rows.append(
                 [
@@ -151,44 +154,44 @@ def motion_table(breaks: list[Break], made_of: Material, engines: list[str]) -> 
     return table(heads, rows)
 
 
-def swapped_motions(one: Break, made_of: Material, engine: str) -> tuple[Hit, Moving, Moving]:
+def swapped_motions(one: Break, made_of: Material, engine: str) -> tuple[CollisionEvent, Moving, Moving]:
     """The hit, what moves before the contact, and what moves after the swap."""
-    stage = Stage(replace(one.scene, engine=engine), [one.shape], {made_of.name: made_of})
+    world = PhysicsWorld(replace(one.scene, engine=engine), [one.shape], {made_of.name: made_of})
     try:
-        hit = next(hit for _ in range(1000) for hit in stage.step())
+        hit = next(hit for _ in range(1000) for hit in world.step())
         begin = [(hit.body.mass, hit.before), *((s.body.mass, s.before) for s in hit.strikers)]
-        stage.shatter(hit, one.fragments)
-        return hit, begin, [(body.mass, motion) for body, motion in stage.moving()]
+        world.replace(hit, one.fragments)
+        return hit, begin, [(body.mass, motion) for body, motion in world.moving()]
     finally:
-        stage.close()
+        world.close()
 
 
 def at_rest(engine: str, fragments: Fragments, hulls: list[Hulls], steps: list[int]) -> list[Floats]:
     """Kinetic energy of each fragment [J] so many steps after all were put in at rest, nothing else being there."""
-    still = Motion(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    still = BodyState(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     try:
         bodies = [
-            world.add_body(hull.points, Mass(piece.mass, piece.centre, piece.inertia), still)
+            world.add_body(hull.points, MassProperties(piece.mass, piece.centre, piece.inertia), still)
             for piece, hull in zip(fragments, hulls, strict=True)
         ]
         found = []
         for step in range(1, max(steps, default=0) + 1):
             world.step(STEP)
             if step in steps:
-                found.append(energies(fragments, [world.motion(body) for body in bodies]))
+                found.append(energies(fragments, [world.state(body) for body in bodies]))
         return found
     finally:
         world.close()
 
 
-def moving_whole(hit: Hit, fragments: Fragments, push: float) -> list[Motion]:
+def moving_whole(hit: CollisionEvent, fragments: Fragments, push: float) -> list[BodyState]:
     """The motion of each fragment at the swap."""
     velocity = hit.before.velocity + push * (hit.after.velocity - hit.before.velocity)
-    spin = hit.before.spin + push * (hit.after.spin - hit.before.spin)
+    spin = hit.before.angular_velocity + push * (hit.after.angular_velocity - hit.before.angular_velocity)
     turn = rotation_matrix(hit.before.quat_wxyz)
     return [
-        Motion(
+        BodyState(
             hit.before.position, hit.before.quat_wxyz,
             velocity + np.cross(spin, turn @ (piece.centre - hit.body.mass.centre)), spin,
         )
@@ -196,9 +199,9 @@ def moving_whole(hit: Hit, fragments: Fragments, push: float) -> list[Motion]:
     ]  # fmt: skip
 
 
-def energies(fragments: Fragments, motions: list[Motion]) -> Floats:
+def energies(fragments: Fragments, motions: list[BodyState]) -> Floats:
     """Kinetic energy of each fragment [J]."""
-    masses = [Mass(piece.mass, piece.centre, piece.inertia) for piece in fragments]
+    masses = [MassProperties(piece.mass, piece.centre, piece.inertia) for piece in fragments]
     return np.array([momentum([pair])[2] for pair in zip(masses, motions, strict=True)])
 
 
@@ -207,10 +210,10 @@ def momentum(moving: Moving) -> tuple[Floats, Floats, float]:
     linear, angular, energy = np.zeros(3), np.zeros(3), 0.0
     for mass, motion in moving:
         turn = rotation_matrix(motion.quat_wxyz)
-        about = turn @ mass.inertia @ turn.T @ motion.spin
+        about = turn @ mass.inertia @ turn.T @ motion.angular_velocity
         linear += mass.mass * motion.velocity
         angular += mass.mass * np.cross(motion.position + turn @ mass.centre, motion.velocity) + about
-        energy += 0.5 * float(mass.mass * motion.velocity @ motion.velocity + about @ motion.spin)
+        energy += 0.5 * float(mass.mass * motion.velocity @ motion.velocity + about @ motion.angular_velocity)
     return linear, angular, energy
 
 
@@ -227,19 +230,19 @@ def best(job: Callable[[], object]) -> float:
 def around(one: Break, made_of: Material, engine: str) -> Floats:
     """Rows (time from the swap [s], energy, momentum (3), angular momentum (3)) around the break, shape (n, 8)."""
     fine = replace(one.scene, engine=engine, steps_per_second=FINE)
-    stage = Stage(fine, [one.shape], {made_of.name: made_of})
+    world = PhysicsWorld(fine, [one.shape], {made_of.name: made_of})
     rows: list[Floats] = []
     swapped = None
     try:
         while swapped is None or len(rows) < swapped + AFTER:
-            for hit in stage.step():
+            for hit in world.step():
                 if swapped is None:
                     swapped = len(rows)
-                    stage.shatter(hit, one.fragments)
-            linear, angular, energy = momentum([(body.mass, motion) for body, motion in stage.moving()])
-            rows.append(np.array([stage.time, energy, *linear, *angular]))
+                    world.replace(hit, one.fragments)
+            linear, angular, energy = momentum([(body.mass, motion) for body, motion in world.moving()])
+            rows.append(np.array([world.time, energy, *linear, *angular]))
     finally:
-        stage.close()
+        world.close()
     found = np.array(rows[max(swapped - BEFORE, 0) :])
     found[:, 0] -= rows[swapped][0]
     return found

@@ -359,7 +359,7 @@ class Breaker(Protocol):
     """The one seam between the world and whatever knows how things break.
 
     Returns None when the collision does not break the shape. A fragment that may break again comes as a
-    shape with a `size` of its own and an impact scaled to it (`world.pieces`)."""
+    shape with a `size` of its own and an impact scaled to it (`world.refracture`)."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None: ...
 
@@ -376,8 +376,8 @@ class Rigid:
     """About the centre of mass, axes of the mesh frame [kg m^2], shape (3, 3)."""
     velocities: Floats
     """Of the centre of mass in the world [m/s], shape (n, 3)."""
-    spins: Floats
-    """Angular velocities in the world [rad/s], shape (n, 3)."""
+    angular_velocities: Floats
+    """In the world [rad/s], shape (n, 3)."""
     hulls: tuple[Floats, ...] = ()
     """Convex parts that stand for it in collisions: points in the mesh frame, each (k, 3); none for a ball."""
 
@@ -385,7 +385,10 @@ class Rigid:
         object.__setattr__(self, "centre", _array("centre", self.centre, float, (3,)))
         object.__setattr__(self, "inertia", _array("inertia", self.inertia, float, (3, 3)))
         object.__setattr__(self, "velocities", _array("velocities", self.velocities, float, (None, 3)))
-        object.__setattr__(self, "spins", _array("spins", self.spins, float, (len(self.velocities), 3)))
+        shape = (len(self.velocities), 3)
+        object.__setattr__(
+            self, "angular_velocities", _array("angular_velocities", self.angular_velocities, float, shape)
+        )
         if not self.mass > 0:
             raise BadInput(f"mass must be positive, got {self.mass}")
 
@@ -428,15 +431,15 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Touch:
-    """How bodies touch: Coulomb coefficients, and the speed at which they part over that at which they met."""
+class ContactMaterial:
+    """Friction and restitution of the contacts in a scene."""
 
     friction: float = 0.5
-    """Between two bodies that move."""
-    fixed: Mapping[str, float] = field(default_factory=lambda: {"floor": 0.6})
-    """Between them and what is fixed, by the name of its track."""
+    """Coulomb coefficient between two moving bodies."""
     restitution: float = 0.2
-    """Of every contact."""
+    """Separation speed over approach speed, in every contact."""
+    fixed_friction: Mapping[str, float] = field(default_factory=lambda: {"floor": 0.6})
+    """Coulomb coefficient between them and each fixed body, by the name of its track."""
 
 
 @dataclass(frozen=True, eq=False)

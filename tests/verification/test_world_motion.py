@@ -9,9 +9,9 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from deepfracture.geometry import builtin, mass_properties, signed_distance_points
+from deepfracture.geometry import MassProperties, builtin, mass_properties, signed_distance_points
 from deepfracture.geometry.rotations import rotation_matrix
-from deepfracture.types import Fragment, Fragments, Impact, Material, Mesh, Recording, Shape
+from deepfracture.types import ContactMaterial, Fragment, Fragments, Impact, Material, Mesh, Recording, Shape
 from deepfracture.world import (
     Ball,
     Block,
@@ -22,12 +22,14 @@ from deepfracture.world import (
     draw_scene,
     first_impact,
     joint_impact,
-    learning_scene,
     simulate,
+    single_ball_scene,
     throw_scene,
 )
-from deepfracture.world.engine import Mass, Motion, Surface, open_engine
-from deepfracture.world.stage import Hit, Stage
+from deepfracture.world.collisions import CollisionEvent
+from deepfracture.world.engine import BodyState
+from deepfracture.world.engines import open_engine
+from deepfracture.world.physics_world import PhysicsWorld
 
 ENGINES = [
     "rapier",
@@ -72,12 +74,11 @@ def _never(shape: Shape, impact: Impact, rng: np.random.Generator) -> None:
     return None
 
 
-def _mass(shape: Shape) -> Mass:
-    have = mass_properties(shape.mesh, STONE["stone"].density)
-    return Mass(have.mass, have.centre, have.inertia)
+def _mass(shape: Shape) -> MassProperties:
+    return mass_properties(shape.mesh, STONE["stone"].density)
 
 
-def _momentum(engine_bodies: Sequence[tuple[Mass, Motion]]) -> tuple[np.ndarray, np.ndarray]:
+def _momentum(engine_bodies: Sequence[tuple[MassProperties, BodyState]]) -> tuple[np.ndarray, np.ndarray]:
     """Linear and angular momentum about the origin."""
     linear, angular = np.zeros(3), np.zeros(3)
     for mass, motion in engine_bodies:
@@ -85,12 +86,12 @@ def _momentum(engine_bodies: Sequence[tuple[Mass, Motion]]) -> tuple[np.ndarray,
         centre = motion.position + turn @ mass.centre
         linear += mass.mass * motion.velocity
         angular += mass.mass * np.cross(centre, motion.velocity)
-        angular += turn @ mass.inertia @ turn.T @ motion.spin
+        angular += turn @ mass.inertia @ turn.T @ motion.angular_velocity
     return linear, angular
 
 
-def _still(position: Sequence[float] = (0, 0, 0)) -> Motion:
-    return Motion(np.array(position, float), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+def _still(position: Sequence[float] = (0, 0, 0)) -> BodyState:
+    return BodyState(np.array(position, float), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
 
 
 def _run(scene: Scene, shape: Shape, breaker: object = _never, seed: int = 0) -> Outcome:
@@ -112,16 +113,16 @@ def test_poses_are_of_the_mesh_frame(engine: str) -> None:
     """A body spins about its centre of mass, wherever the origin of its mesh is."""
     shape = builtin("mug")  # its centre of mass is off the origin, its inertia has products
     mass = _mass(shape)
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     quat = np.array([0.5, 0.5, -0.5, 0.5])
-    start = Motion(np.array([1.0, 2.0, 3.0]), quat, np.zeros(3), np.array([0.3, 2.0, -1.0]))
+    start = BodyState(np.array([1.0, 2.0, 3.0]), quat, np.zeros(3), np.array([0.3, 2.0, -1.0]))
     body = world.add_body([shape.mesh.vertices[::50]], mass, start)
-    first = world.motion(body)
+    first = world.state(body)
     np.testing.assert_allclose(first.position, start.position, atol=1e-6)
     np.testing.assert_allclose(rotation_matrix(first.quat_wxyz), rotation_matrix(quat), atol=1e-6)
     for _ in range(240):
         world.step(1 / 240)
-    last = world.motion(body)
+    last = world.state(body)
     world.close()
     centres = [m.position + rotation_matrix(m.quat_wxyz) @ mass.centre for m in (first, last)]
     np.testing.assert_allclose(centres[1], centres[0], atol=1e-4)
@@ -139,7 +140,7 @@ def test_impulse_is_m_dv_and_momentum_is_conserved(engine: str, name: str) -> No
     rng = np.random.default_rng(4)
     square = 0
     for _ in range(8):
-        scene = learning_scene(name, shape, rng, material="stone", engine=engine)
+        scene = single_ball_scene(name, shape, rng, material="stone", engine=engine)
         hit = _run(scene, shape).collisions[0]
         ball = scene.balls[0]
         impulse = (hit.impact.magnitude[:, None] * hit.impact.direction).sum(axis=0)
@@ -166,18 +167,18 @@ def test_engine_impulses_alone_are_m_dv(engine: str) -> None:
     shape = builtin("bar")
     mass = _mass(shape)
     for speed in (2.0, 8.0, 40.0):
-        dt = min(1 / 240, 0.025 / speed)  # as the stage does
-        world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+        dt = min(1 / 240, 0.025 / speed)  # as `PhysicsWorld` does
+        world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
         bar = world.add_body([shape.mesh.vertices], mass, _still())
         flight = replace_velocity(_still((0, -0.45, 0)), (0, speed, 0))
         ball = world.add_ball(0.2, 100.0, flight)
         reported = 0.0
         for _ in range(int(0.6 / speed / dt)):
-            began = world.motion(bar)
+            began = world.state(bar)
             world.step(dt)
             reported += sum(c.impulse for c in world.contacts(bar, began) if c.other == ball)
-        gained = mass.mass * world.motion(bar).velocity[1]
-        lost = 100.0 * (speed - world.motion(ball).velocity[1])
+        gained = mass.mass * world.state(bar).velocity[1]
+        lost = 100.0 * (speed - world.state(ball).velocity[1])
         world.close()
         exact = 1.2 * speed / (1 / 100 + 1 / mass.mass)
         assert gained == pytest.approx(exact, rel=0.05)
@@ -185,8 +186,8 @@ def test_engine_impulses_alone_are_m_dv(engine: str) -> None:
         assert lost == pytest.approx(gained, rel=1e-3)
 
 
-def replace_velocity(motion: Motion, velocity: Sequence[float]) -> Motion:
-    return Motion(motion.position, motion.quat_wxyz, np.array(velocity, float), motion.spin)
+def replace_velocity(motion: BodyState, velocity: Sequence[float]) -> BodyState:
+    return BodyState(motion.position, motion.quat_wxyz, np.array(velocity, float), motion.angular_velocity)
 
 
 @every_engine
@@ -219,7 +220,7 @@ def test_impacts_lie_on_the_true_surface(engine: str) -> None:
     shape = builtin("pot")
     rng = np.random.default_rng(2)
     for _ in range(4):
-        scene = learning_scene("pot", shape, rng, material="stone", engine=engine)
+        scene = single_ball_scene("pot", shape, rng, material="stone", engine=engine)
         impact = first_impact(scene, shape, materials=STONE)
         assert impact is not None
         assert np.abs(signed_distance_points(shape.mesh, impact.position)).max() < 1e-6
@@ -234,7 +235,7 @@ def test_impacts_lie_on_the_true_surface(engine: str) -> None:
 def test_engines_agree_on_the_first_impact() -> None:
     pytest.importorskip("pybullet", reason="no pybullet wheel here")
     shape = builtin("pot")
-    scene = learning_scene("pot", shape, np.random.default_rng(6), material="stone")
+    scene = single_ball_scene("pot", shape, np.random.default_rng(6), material="stone")
     one, two = (first_impact(scene, shape, materials=STONE, engine=e) for e in ("rapier", "bullet"))
     assert one is not None
     assert two is not None
@@ -253,8 +254,8 @@ def test_breaking_conserves_momentum(engine: str, push: float) -> None:
     shape = builtin("bar")
     cuts = _planes(np.random.default_rng(1), 4, 0.2)
     scene = replace(
-        learning_scene("bar", shape, np.random.default_rng(8), material="stone", engine=engine),
-        push=push,
+        single_ball_scene("bar", shape, np.random.default_rng(8), material="stone", engine=engine),
+        impulse_fraction=push,
         duration=0.6,
     )
     outcome = _run(scene, shape, _cutter(cuts))
@@ -262,7 +263,7 @@ def test_breaking_conserves_momentum(engine: str, push: float) -> None:
     pieces = list(broken.fragments or ())
     assert len(pieces) > 4
     ball = scene.balls[0]
-    solid = Mass(ball.mass, np.zeros(3), 0.4 * ball.mass * ball.radius**2 * np.eye(3))
+    solid = MassProperties(ball.mass, np.zeros(3), 0.4 * ball.mass * ball.radius**2 * np.eye(3))
     thrown = replace_velocity(_still(ball.position), ball.velocity)
     before = _momentum([(solid, thrown)])[0]
     # Velocities from the recording's last two frames, of the centres of mass.
@@ -279,24 +280,24 @@ def test_breaking_conserves_momentum(engine: str, push: float) -> None:
     assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)
 
 
-def _piece_mass(pieces: list[Fragment], name: str) -> Mass:
+def _piece_mass(pieces: list[Fragment], name: str) -> MassProperties:
     piece = pieces[int(name.split(".")[1])]
-    return Mass(piece.mass, piece.centre, piece.inertia)
+    return MassProperties(piece.mass, piece.centre, piece.inertia)
 
 
 @every_engine
 def test_angular_momentum_through_a_collision(engine: str) -> None:
     shape = builtin("bar")
     mass = _mass(shape)
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     bar = world.add_body([shape.mesh.vertices], mass, _still())
-    solid = Mass(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
+    solid = MassProperties(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
     ball = world.add_ball(0.2, 100.0, replace_velocity(_still((0.6, -0.6, 0.1)), (0, 10, 0)))
-    start = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
+    start = _momentum([(mass, world.state(bar)), (solid, world.state(ball))])
     for _ in range(40):
         world.step(1 / 960)
-    end = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
-    assert np.linalg.norm(world.motion(bar).spin) > 0.5
+    end = _momentum([(mass, world.state(bar)), (solid, world.state(ball))])
+    assert np.linalg.norm(world.state(bar).angular_velocity) > 0.5
     world.close()
     assert np.linalg.norm(end[0] - start[0]) < 1e-3 * np.linalg.norm(start[0])
     assert np.linalg.norm(end[1] - start[1]) < 0.02 * np.linalg.norm(start[1])
@@ -307,20 +308,20 @@ def test_angular_momentum_through_a_collision(engine: str) -> None:
 def test_a_new_body_has_its_own_inertia_in_its_first_step(engine: str, moved: bool) -> None:
     """A ball hits the end of a bar that stands askew, in the first step after the bar came in or was turned."""
     shape = builtin("bar")
-    mass, solid = _mass(shape), Mass(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
+    mass, solid = _mass(shape), MassProperties(100.0, np.zeros(3), 0.4 * 100 * 0.04 * np.eye(3))
     askew = np.array([0.8, 0.2, -0.4, 0.4])
     turn = rotation_matrix(askew)
     gap = np.array([0.6, shape.mesh.vertices[:, 1].min() - 0.2 - 1e-4, 0.1])
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     bar = world.add_body([shape.mesh.vertices], mass, _still() if moved else replace(_still(), quat_wxyz=askew))
     if moved:
         world.step(1 / 960)
-        world.move(bar, replace(_still(), quat_wxyz=askew))
+        world.set_state(bar, replace(_still(), quat_wxyz=askew))
     ball = world.add_ball(0.2, 100.0, replace_velocity(_still(turn @ gap), turn @ [0, 10, 0]))
-    before = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
+    before = _momentum([(mass, world.state(bar)), (solid, world.state(ball))])
     world.step(1 / 960)
-    after = _momentum([(mass, world.motion(bar)), (solid, world.motion(ball))])
-    assert np.linalg.norm(world.motion(bar).spin) > 0.5
+    after = _momentum([(mass, world.state(bar)), (solid, world.state(ball))])
+    assert np.linalg.norm(world.state(bar).angular_velocity) > 0.5
     world.close()
     assert np.linalg.norm(after[0] - before[0]) < 1e-3 * np.linalg.norm(before[0])
     assert np.linalg.norm(after[1] - before[1]) < 0.02 * np.linalg.norm(before[1])
@@ -335,27 +336,27 @@ def test_fragments_at_rest_stay_at_rest(engine: str, name: str) -> None:
     assert len(pieces) > 8
     from deepfracture.geometry.convex.hulls import piece_hulls
 
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     bodies = [
-        world.add_body(hulls.points, Mass(piece.mass, piece.centre, piece.inertia), _still())
+        world.add_body(hulls.points, MassProperties(piece.mass, piece.centre, piece.inertia), _still())
         for piece, hulls in zip(pieces, piece_hulls([p.mesh for p in pieces]), strict=True)
     ]
     energy = 0.0
     for _ in range(120):
         world.step(1 / 240)
     for body, piece in zip(bodies, pieces, strict=True):
-        motion = world.motion(body)
+        motion = world.state(body)
         energy += 0.5 * piece.mass * motion.velocity @ motion.velocity
-        energy += 0.5 * motion.spin @ piece.inertia @ motion.spin
+        energy += 0.5 * motion.angular_velocity @ piece.inertia @ motion.angular_velocity
     world.close()
     mass = sum(piece.mass for piece in pieces)
     assert energy < 0.5 * mass * 0.05**2  # as if all moved at 5 cm/s
 
 
-def _struck(scene: Scene, shape: Shape) -> tuple[Stage, Hit]:
+def _struck(scene: Scene, shape: Shape) -> tuple[PhysicsWorld, CollisionEvent]:
     """A scene up to its first collision."""
-    stage = Stage(scene, [shape], STONE)
-    return stage, next(hit for _ in range(500) for hit in stage.step())
+    world = PhysicsWorld(scene, [shape], STONE)
+    return world, next(hit for _ in range(500) for hit in world.step())
 
 
 SPIN = (0.4, -0.6, 0.5)
@@ -369,14 +370,19 @@ def test_the_swap_conserves_all_momentum(engine: str, push: float, balls: int) -
     """Of the shape and what strikes it, before the contact and with the fragments in its place."""
     shape = builtin("bar")
     scene = Scene(
-        (Placed("bar", "stone", spin=SPIN),), TWO_BALLS[:balls], gravity=0.0, push=push, engine=engine, duration=1.0
+        (Placed("bar", "stone", angular_velocity=SPIN),),
+        TWO_BALLS[:balls],
+        gravity=0.0,
+        impulse_fraction=push,
+        engine=engine,
+        duration=1.0,
     )
-    stage, hit = _struck(scene, shape)
+    world, hit = _struck(scene, shape)
     assert len(hit.strikers) == balls
     begin = [(hit.body.mass, hit.before), *((s.body.mass, s.before) for s in hit.strikers)]
-    whole = stage.shatter(hit, _pieces(shape.mesh, _planes(np.random.default_rng(1), 4, 0.2)))
-    end = [(body.mass, motion) for body, motion in stage.moving()]
-    stage.close()
+    whole = world.replace(hit, _pieces(shape.mesh, _planes(np.random.default_rng(1), 4, 0.2)))
+    end = [(body.mass, motion) for body, motion in world.moving()]
+    world.close()
     assert len(whole) > 4
     for before, after in zip(_momentum(begin), _momentum(end), strict=True):
         assert np.linalg.norm(after - before) < 0.01 * np.linalg.norm(before)
@@ -393,15 +399,15 @@ def test_what_one_body_took_another_keeps(engine: str) -> None:
     shape = builtin("bar")
     shapes = tuple(Placed("bar", "stone", (0, y, 0)) for y in (-0.4, 0.4))
     ball = Ball(0.19, 7800, (-0.2, 0.005, 1.2), (0.0, 0.4, -12.0))
-    scene = Scene(shapes, (ball,), gravity=0.0, push=0.0, engine=engine, duration=1.0)
-    stage = Stage(scene, [shape, shape], STONE)
-    begin = _momentum([(body.mass, motion) for body, motion in stage.moving()])[0]
+    scene = Scene(shapes, (ball,), gravity=0.0, impulse_fraction=0.0, engine=engine, duration=1.0)
+    world = PhysicsWorld(scene, [shape, shape], STONE)
+    begin = _momentum([(body.mass, motion) for body, motion in world.moving()])[0]
     for _ in range(200):
-        for hit in stage.step():
+        for hit in world.step():
             if hit.body.name == "shape0":
-                stage.shatter(hit, _pieces(shape.mesh, _planes(np.random.default_rng(1), 3, 0.2)))
-    end = _momentum([(body.mass, motion) for body, motion in stage.moving()])[0]
-    stage.close()
+                world.replace(hit, _pieces(shape.mesh, _planes(np.random.default_rng(1), 3, 0.2)))
+    end = _momentum([(body.mass, motion) for body, motion in world.moving()])[0]
+    world.close()
     assert np.linalg.norm(end - begin) < 0.01 * np.linalg.norm(begin)
 
 
@@ -419,17 +425,17 @@ def test_fragments_with_rough_cracks_do_not_jump(engine: str) -> None:
     labels = 1 + np.sum([wave > 0 for wave in waves], axis=0)
     pieces = cut(shape, FracturePattern(grid, labels, np.min(np.abs(waves), axis=0)), density=2400.0)
     assert len(pieces) == 4
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, 0.2))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     bodies = [
-        world.add_body(hulls.points, Mass(piece.mass, piece.centre, piece.inertia), _still())
+        world.add_body(hulls.points, MassProperties(piece.mass, piece.centre, piece.inertia), _still())
         for piece, hulls in zip(pieces, piece_hulls([p.mesh for p in pieces]), strict=True)
     ]
     for _ in range(10):
         world.step(1 / 240)
         for body, piece in zip(bodies, pieces, strict=True):
-            motion = world.motion(body)
+            motion = world.state(body)
             energy = 0.5 * piece.mass * motion.velocity @ motion.velocity
-            energy += 0.5 * motion.spin @ piece.inertia @ motion.spin
+            energy += 0.5 * motion.angular_velocity @ piece.inertia @ motion.angular_velocity
             assert energy < 0.02 * 0.5 * piece.mass
             # Nor is it put elsewhere: engines may also part bodies without giving them speed.
             assert np.linalg.norm(motion.position) < 0.003
@@ -655,7 +661,7 @@ def test_fragments_break_again_as_often_as_asked(engine: str, generations: int) 
         (Placed("bar", "stone", (0, 0, 1.5), (0.966, 0, 0.2588, 0)),),
         floor=Floor(),
         duration=2.0,
-        push=0.0,
+        impulse_fraction=0.0,
         engine=engine,
         refracture=generations,
     )
@@ -696,11 +702,11 @@ def test_breaking_again_conserves_momentum(engine: str) -> None:
     outcome = _run(scene, shape, _halver(asked))
     assert max(c.generation for c in outcome.breaks) == 1
     masses = {
-        f"{c.body}.{i:03d}": Mass(p.mass, p.centre, p.inertia)
+        f"{c.body}.{i:03d}": MassProperties(p.mass, p.centre, p.inertia)
         for c in outcome.breaks
         for i, p in enumerate(c.fragments or ())
     }
-    solids = {f"ball{i}": Mass(b.mass, np.zeros(3), np.eye(3)) for i, b in enumerate(balls)}
+    solids = {f"ball{i}": MassProperties(b.mass, np.zeros(3), np.eye(3)) for i, b in enumerate(balls)}
     before = sum(np.array(ball.velocity) * ball.mass for ball in balls)
     after = np.zeros(3)
     for track in outcome.recording.tracks:

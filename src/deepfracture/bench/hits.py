@@ -6,7 +6,7 @@ import numpy as np
 
 from deepfracture.fracture import breaks
 from deepfracture.types import BadInput, Impact, Material, Shape
-from deepfracture.world import first_impact, learning_scene
+from deepfracture.world import first_impact, single_ball_scene
 
 SPEEDS = (5.0, 30.0)
 """Slowest and fastest ball [m/s]: from hits that just break a heavy body to those that shatter it."""
@@ -24,7 +24,7 @@ def random_hits(
     hits: list[Impact] = []
     for k in range(TRIES * count):
         rng = np.random.default_rng([seed, k])
-        scene = learning_scene(shape.name, shape, rng, material=material.name, speed=speeds)
+        scene = single_ball_scene(shape.name, shape, rng, material=material.name, speed=speeds)
         impact = first_impact(scene, shape, materials={material.name: material})
         if impact is not None and breaks(impact, material, area):
             hits.append(impact)

@@ -12,7 +12,8 @@ from deepfracture.geometry import voxels_inside
 from deepfracture.runtime.memory import peak_mb
 from deepfracture.types import BadInput, Fragments, Grid, Material, Shape
 from deepfracture.world import Scene, throw_scene
-from deepfracture.world.stage import Hit, Stage
+from deepfracture.world.collisions import CollisionEvent
+from deepfracture.world.physics_world import PhysicsWorld
 
 STEPS = 60
 """Steps of the engine that follow the break, a quarter of a second: fragments still touch each other."""
@@ -33,18 +34,18 @@ def bench_world(shape: Shape, resolution: int) -> list[Row]:
 
 
 def _run(scene: Scene, shape: Shape, made_of: Material, fragments: Fragments) -> tuple[float, float]:
-    """Seconds to add the fragments at the first hit, and of a step after that, in the median."""
-    stage = Stage(scene, [shape], {made_of.name: made_of})
+    """Seconds to add the fragments at the first event, and of a step after that, in the median."""
+    world = PhysicsWorld(scene, [shape], {made_of.name: made_of})
     try:
-        hit = _first_hit(stage)
-        added = seconds(lambda: stage.shatter(hit, fragments))
-        return added, float(np.median([seconds(lambda: list(stage.step())) for _ in range(STEPS)]))
+        event = _first_hit(world)
+        added = seconds(lambda: world.replace(event, fragments))
+        return added, float(np.median([seconds(lambda: list(world.step())) for _ in range(STEPS)]))
     finally:
-        stage.close()
+        world.close()
 
 
-def _first_hit(stage: Stage) -> Hit:
-    for _ in range(int(stage.scene.duration * stage.scene.steps_per_second)):
-        for hit in stage.step():
-            return hit
+def _first_hit(world: PhysicsWorld) -> CollisionEvent:
+    for _ in range(int(world.scene.duration * world.scene.steps_per_second)):
+        for event in world.step():
+            return event
     raise BadInput("the ball of the measured scene misses the shape; try another shape")

@@ -34,7 +34,7 @@ def restricted(pattern: FracturePattern, piece: Shape) -> FracturePattern:
 
     Args:
         pattern: On the grid of the whole.
-        piece: A fragment in its own frame (`world.pieces.as_shape`).
+        piece: A fragment in its own frame (`world.refracture.fragment_as_shape`).
     """
     grid = piece_grid(piece, pattern.grid)
     voxels = np.argwhere(voxels_inside(piece.mesh, grid))

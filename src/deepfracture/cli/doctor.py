@@ -198,16 +198,19 @@ def _free_memory() -> tuple[float, float] | None:
 
 def _falls(name: str) -> str:
     """A cube falls for a tenth of a second."""
-    from deepfracture.world.engine import Mass, Motion, Surface, open_engine
+    from deepfracture.geometry import MassProperties
+    from deepfracture.types import ContactMaterial
+    from deepfracture.world.engine import BodyState
+    from deepfracture.world.engines import open_engine
 
-    engine = open_engine(name, gravity=10.0, surface=Surface(0.5, 0.1))
+    engine = open_engine(name, gravity=10.0, contact=ContactMaterial(0.5, 0.1))
     try:
         corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-        start = Motion(np.array([0, 0, 10.0]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
-        cube = engine.add_body([corners], Mass(1.0, np.zeros(3), np.eye(3)), start)
+        start = BodyState(np.array([0, 0, 10.0]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+        cube = engine.add_body([corners], MassProperties(1.0, np.zeros(3), np.eye(3)), start)
         for _ in range(24):
             engine.step(1 / 240)
-        fell = 10.0 - float(engine.motion(cube).position[2])
+        fell = 10.0 - float(engine.state(cube).position[2])
     finally:
         engine.close()
     if not 0.04 < fell < 0.06:

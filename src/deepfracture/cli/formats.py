@@ -30,7 +30,7 @@ class Format:
 
 
 def _usd(outcome: Outcome, scene: Scene, path: Path) -> None:
-    write_usd(outcome.recording, path, gravity=scene.gravity, touch=scene.touch)
+    write_usd(outcome.recording, path, gravity=scene.gravity, contact_material=scene.contact_material)
 
 
 def _film(outcome: Outcome, scene: Scene, path: Path) -> None:

@@ -22,7 +22,7 @@ from deepfracture.recording.motion import break_frame, keys, pivot, pivot_positi
 from deepfracture.recording.surface import track_surfaces
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import atomic_file, atomic_folder
-from deepfracture.types import BadInput, Floats, Recording, Rigid, Touch, Track
+from deepfracture.types import BadInput, ContactMaterial, Floats, Recording, Rigid, Track
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom
@@ -44,7 +44,7 @@ def write_usd(
     path: str | os.PathLike,
     *,
     gravity: float = 9.81,
-    touch: Touch = Touch(),  # noqa: B008 - it cannot change
+    contact_material: ContactMaterial = ContactMaterial(),  # noqa: B008 - it cannot change
     metres_per_unit: float = 1.0,
 ) -> None:
     """Write every body with its motion, its looks and its physics, in the user's coordinates.
@@ -71,7 +71,7 @@ def write_usd(
         recording: What happened.
         path: Where to; see above for its suffix.
         gravity: Downwards [m/s^2], in the world of the recording.
-        touch: How its bodies touched.
+        contact_material: Friction and restitution of its contacts.
         metres_per_unit: How long a unit of the user's coordinates is. As in glTF, a metre if nobody says. It only
             labels the file: the body that was simulated is two metres long, and gravity and velocities are such that
             it moves in the user's coordinates as it did then.
@@ -85,7 +85,7 @@ def write_usd(
     folder = "textures" if package else f"{path.stem}_textures"
     stage = _stage(recording, metres_per_unit)
     looks = Looks(stage, f"{ROOT}/_materials", folder)
-    _fill(stage, looks, recording, gravity, touch)
+    _fill(stage, looks, recording, gravity, contact_material)
     if package:
         _write_package(stage, looks.textures, folder, path)
         return
@@ -162,7 +162,9 @@ class _Frame:
         return self.scale * positions @ self.turn.T + self.shift
 
 
-def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float, touch: Touch) -> None:
+def _fill(
+    stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float, contact_material: ContactMaterial
+) -> None:
     """Everything under the root."""
     from pxr import Gf, UsdPhysics
 
@@ -176,7 +178,7 @@ def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float, 
     for track, name in zip(recording.tracks, body_names(recording), strict=True):
         if len(track.positions):  # else it broke before the first frame
             bodies.append(_Body(stage, looks, f"{ROOT}/{name}", track, frame, start, recording.frames))
-    _roughen(stage, bodies, touch)
+    _roughen(stage, bodies, contact_material)
     moving = [body for body in bodies if body.moves]
     for variant in ("recorded", "simulated"):  # the second takes prims away, so it comes last
         motion.AddVariant(variant)
@@ -187,21 +189,21 @@ def _fill(stage: Usd.Stage, looks: Looks, recording: Recording, gravity: float, 
     motion.SetVariantSelection("recorded")
 
 
-def _roughen(stage: Usd.Stage, bodies: Sequence[_Body], touch: Touch) -> None:
+def _roughen(stage: Usd.Stage, bodies: Sequence[_Body], contact_material: ContactMaterial) -> None:
     """A physics material for every collider, one for all that have the same coefficients."""
     from pxr import UsdPhysics, UsdShade
 
     made: dict[float, UsdShade.Material] = {}
     for body in bodies:
-        friction = touch.friction
-        if body.track.name in touch.fixed:
-            friction = max(2 * touch.fixed[body.track.name] - touch.friction, 0.0)
+        friction = contact_material.friction
+        if body.track.name in contact_material.fixed_friction:
+            friction = max(2 * contact_material.fixed_friction[body.track.name] - contact_material.friction, 0.0)
         if friction not in made:
             made[friction] = UsdShade.Material.Define(stage, f"{ROOT}/_materials/touch_{len(made)}")
             physics = UsdPhysics.MaterialAPI.Apply(made[friction].GetPrim())
             physics.CreateStaticFrictionAttr(friction)
             physics.CreateDynamicFrictionAttr(friction)
-            physics.CreateRestitutionAttr(touch.restitution)
+            physics.CreateRestitutionAttr(contact_material.restitution)
         for collider in body.colliders:
             binding = UsdShade.MaterialBindingAPI.Apply(collider.GetPrim())
             binding.Bind(made[friction], UsdShade.Tokens.weakerThanDescendants, "physics")
@@ -320,9 +322,9 @@ class _Body:
         body.CreateKinematicEnabledAttr(False)
         if rigid is not None:
             velocity = self.frame.scale * self.frame.turn @ rigid.velocities[self.still]
-            spin = np.degrees(self.frame.turn @ rigid.spins[self.still])
+            angular_velocity = np.degrees(self.frame.turn @ rigid.angular_velocities[self.still])
             body.CreateVelocityAttr(Gf.Vec3f(*velocity.tolist()))
-            body.CreateAngularVelocityAttr(Gf.Vec3f(*spin.tolist()))
+            body.CreateAngularVelocityAttr(Gf.Vec3f(*angular_velocity.tolist()))
 
 
 def _collider(mesh: UsdGeom.Mesh, how: str) -> Any:

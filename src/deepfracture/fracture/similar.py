@@ -9,7 +9,7 @@ fragment, and so is its strength; then
     toughness           K / sqrt(s)         (K ~ stress * sqrt(length): a small body is relatively tougher)
     lengths             variation / s, roughness / s
 
-which leaves every ratio of the mechanics (Hertz, Griffith, Mott) what it was. `world.pieces` scales the impact,
+which leaves every ratio of the mechanics (Hertz, Griffith, Mott) what it was. `world.refracture` scales the impact,
 this module the material.
 """
 

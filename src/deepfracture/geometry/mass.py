@@ -12,16 +12,21 @@ from deepfracture.types import BadInput, Floats, Ints, Mesh
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """What a rigid body needs to know of a solid."""
+    """Mass, centre of mass and inertia of a rigid body."""
 
-    volume: float
-    """[m^3]"""
     mass: float
     """[kg]"""
     centre: Floats
     """Centre of mass [m], shape (3,), in the mesh's frame."""
     inertia: Floats
     """Inertia tensor about the centre of mass, mesh axes [kg m^2], shape (3, 3)."""
+
+    def principal(self) -> tuple[Floats, Floats]:
+        """Principal moments of inertia [kg m^2], shape (3,), and the rotation mesh_from_principal, shape (3, 3)."""
+        moments, axes = np.linalg.eigh(self.inertia)
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        return moments, axes
 
 
 def mass_properties(mesh: Mesh, density: float) -> MassProperties:
@@ -44,7 +49,7 @@ def properties_of(volume: float, first: Floats, second: Floats, pivot: Floats, d
     centre = first / volume
     second = second - volume * np.outer(centre, centre)
     inertia = density * (np.trace(second) * np.eye(3) - second)
-    return MassProperties(volume, density * volume, centre + pivot, (inertia + inertia.T) / 2)
+    return MassProperties(density * volume, centre + pivot, (inertia + inertia.T) / 2)
 
 
 @njit(cache=True, nogil=True)

@@ -30,7 +30,7 @@ def make(kind: str, recording: Recording, scene: Scene, entry: Entry) -> tuple[s
         name = "deepfracture.usdz"  # its textures travel in it
     writers = {
         "glb": lambda path: write_glb(recording, path),
-        "usd": lambda path: write_usd(recording, path, gravity=scene.gravity, touch=scene.touch),
+        "usd": lambda path: write_usd(recording, path, gravity=scene.gravity, contact_material=scene.contact_material),
         "film": lambda path: write_film(recording, path),
         "scene": lambda path: save_scene(scene, path),
     }

@@ -15,7 +15,7 @@ from deepfracture.play.aim import Obstacle, launch
 from deepfracture.play.library import Entry, Library
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import BadInput, Floats, Recording
-from deepfracture.world import GRAVITY, UPRIGHT, Ball, Collision, Floor, Live, Pose, Scene, standing, throw_scene
+from deepfracture.world import GRAVITY, UPRIGHT, Ball, Collision, Floor, Live, Pose, Scene, place_on_floor, throw_scene
 
 GENERATIONS = 3
 """Of fragments that may break again: where a ball hits them, as to ask about all that fall takes too long."""
@@ -185,12 +185,12 @@ class Session:
     def _begin(self) -> Live:
         setup, shape = self.setup, self.entry.shape
         breaker = self.library.breaker(self.entry, setup.breaker, setup.material)
-        placed = standing(
+        placed = place_on_floor(
             self.entry.source, shape, material=setup.material, quat_wxyz=UPRIGHT[setup.up], repair=self.entry.repair
         )
         scene = Scene(
             (placed,), floor=Floor(), gravity=setup.gravity, seed=setup.seed, breaker=setup.breaker,
-            refracture=GENERATIONS if setup.breaker in AGAIN else 0, again="balls",
+            refracture=GENERATIONS if setup.breaker in AGAIN else 0, refracture_by="balls",
         )  # fmt: skip
         materials = {setup.material: preset(setup.material)}
         return Live(scene, [shape], breaker, np.random.default_rng(setup.seed), materials=materials)

@@ -7,7 +7,7 @@ import numpy as np
 from deepfracture.breakers import AGAIN
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Floats, Shape
-from deepfracture.world import GRAVITY, STEEL, UPRIGHT, Ball, Floor, Placed, Scene, standing
+from deepfracture.world import GRAVITY, STEEL, UPRIGHT, Ball, Floor, Placed, Scene, place_on_floor
 
 FLOOR_SHARE = 0.75
 """Of the scenes; the others are weightless, where balls come from below as well."""
@@ -39,7 +39,7 @@ def draw_scene(
     floor = bool(rng.random() < FLOOR_SHARE)
     falls = floor and bool(rng.random() < FALL_SHARE)
     quat = _rotation(rng) if rng.random() < 0.6 else UPRIGHT[str(rng.choice(["x", "y", "z"]))]
-    placed = standing(source, shape, material=material, quat_wxyz=quat)
+    placed = place_on_floor(source, shape, material=material, quat_wxyz=quat)
     if falls:
         speed, spin = float(rng.uniform(*FALLS)), rng.normal(0, 3, 3)
         rise = placed.position[2] + float(rng.uniform(0.05, 0.3)) + 0.5
@@ -53,8 +53,8 @@ def draw_scene(
     return Scene(
         (placed,), tuple(balls), Floor() if floor else None, gravity=GRAVITY if floor else 0.0,
         duration=flight + float(rng.uniform(*SETTLE)), engine=engine, breaker=breaker,
-        push=float(rng.choice([0.0, 0.3, 1.0])), refracture=int(rng.integers(1, 4)) if again else 0,
-        again="anything" if anything else "balls",
+        impulse_fraction=float(rng.choice([0.0, 0.3, 1.0])), refracture=int(rng.integers(1, 4)) if again else 0,
+        refracture_by="anything" if anything else "balls",
     )  # fmt: skip
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from deepfracture.fracture.contact import contacts, effective_modulus, hertz, tractions
 from deepfracture.fracture.elastostatics import prepare, solve
 from deepfracture.fracture.materials import material
-from deepfracture.geometry import builtin, mass_properties
-from deepfracture.types import Floats, Impact, Shape
+from deepfracture.geometry import MassProperties, builtin, mass_properties
+from deepfracture.types import ContactMaterial, Floats, Impact, Shape
 from deepfracture.validation.meshes import icosphere
 from deepfracture.validation.report import Curve, Finding, Plot, Report
-from deepfracture.world import ENGINES, Motion
-from deepfracture.world.engine import Mass, Surface, open_engine
+from deepfracture.world import ENGINES, BodyState
+from deepfracture.world.engines import open_engine
 
 RESTITUTION = 0.2
 
@@ -96,8 +96,7 @@ def engine_momentum(speed: float) -> Report:
     """A ball squarely on a free bar, in each engine, for restitution e: it loses and the bar gains
     (1 + e) v / (1 / m + 1 / M); the impulses that the engine reports add up to what the bar gains."""
     shape, density, ball = builtin("bar"), material("stone").density, 100.0
-    have = mass_properties(shape.mesh, density)
-    mass = Mass(have.mass, have.centre, have.inertia)
+    mass = mass_properties(shape.mesh, density)
     exact = (1 + RESTITUTION) * speed / (1 / ball + 1 / mass.mass)
     findings = []
     for engine in engines_here():
@@ -116,18 +115,20 @@ def _step(speed: float) -> float:
     return min(1 / 240, 0.025 / speed)
 
 
-def _square_hit(engine: str, shape: Shape, mass: Mass, ball_mass: float, speed: float) -> tuple[float, float, float]:
+def _square_hit(
+    engine: str, shape: Shape, mass: MassProperties, ball_mass: float, speed: float
+) -> tuple[float, float, float]:
     """Impulse reported, momentum gained by the bar, momentum lost by the ball [N s]."""
     rest, upright = np.zeros(3), np.array([1.0, 0, 0, 0])
-    world = open_engine(engine, gravity=0.0, surface=Surface(0.5, RESTITUTION))
-    bar = world.add_body([shape.mesh.vertices], mass, Motion(rest, upright, rest, rest))
-    ball = world.add_ball(0.2, ball_mass, Motion(np.array([0, -0.45, 0]), upright, np.array([0, speed, 0.0]), rest))
+    world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, RESTITUTION))
+    bar = world.add_body([shape.mesh.vertices], mass, BodyState(rest, upright, rest, rest))
+    ball = world.add_ball(0.2, ball_mass, BodyState(np.array([0, -0.45, 0]), upright, np.array([0, speed, 0.0]), rest))
     reported, step = 0.0, _step(speed)
     for _ in range(round(0.6 / speed / step)):
-        began = world.motion(bar)
+        began = world.state(bar)
         world.step(step)
         reported += sum(c.impulse for c in world.contacts(bar, began) if c.other == ball)
-    gained = mass.mass * float(world.motion(bar).velocity[1])
-    lost = ball_mass * (speed - float(world.motion(ball).velocity[1]))
+    gained = mass.mass * float(world.state(bar).velocity[1])
+    lost = ball_mass * (speed - float(world.state(ball).velocity[1]))
     world.close()
     return reported, gained, lost

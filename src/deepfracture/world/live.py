@@ -1,4 +1,4 @@
-"""A scene in motion, frame by frame, into which balls can be thrown while it runs."""
+"""A scene that runs frame by frame and takes balls while it runs."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ import numpy as np
 
 from deepfracture.runtime.progress import stage as timed
 from deepfracture.types import Breaker, Fragments, Impact, Material, Mesh, Recording, Shape
-from deepfracture.world.engine import Motion
-from deepfracture.world.pieces import real, scaled
+from deepfracture.world.collisions import CollisionEvent
+from deepfracture.world.engine import BodyState
+from deepfracture.world.physics_world import PhysicsWorld
 from deepfracture.world.recorder import Pose, Recorder
+from deepfracture.world.refracture import fragments_to_whole, impact_to_fragment
 from deepfracture.world.scene import Ball, Scene
-from deepfracture.world.stage import Hit, Stage
 
 
 @dataclass(frozen=True, eq=False)
 class Collision:
-    """One collision that a breaker was asked about."""
+    """A collision for which a breaker was called."""
 
     body: str
     """Name of the track."""
     shape: Shape
-    """The whole, also where a fragment of it was struck: impact and fragments are in its frame."""
+    """The whole, also if a fragment of it was struck: impact and fragments are in its frame."""
     time: float
     """[s]"""
     frame: int
     """Last frame of the recording before it."""
     impact: Impact
-    before: Motion
-    after: Motion
+    before: BodyState
+    after: BodyState
     fragments: Fragments | None
     """None: it did not break."""
     generation: int = 0
@@ -51,12 +52,12 @@ class Outcome:
 
 
 class Live:
-    """A scene that somebody watches: `advance` it, `throw` balls into it, ask for its `outcome` at any time.
+    """An interactive simulation: `advance` it, `throw` balls into it, take its `outcome` at any time.
 
-    Every collision of a whole shape faster than a settling contact goes to the breaker, and of fragments as far
-    as `Scene.refracture` says (see `world.pieces`). What has happened is written down from the start on, so that
-    `scene()`, run from the start with the same breaker and generator, gives the same poses again. Use it as a
-    context, or `close` it: the engine holds memory of its own."""
+    The breaker is called for every collision of a whole shape that is faster than a settling contact, and for those of
+    fragments as `Scene.refracture` says (see `world.refracture`). Everything is recorded from the start, so that
+    `scene()`, run with the same breaker and generator, gives the same poses again. Use it as a context manager, or
+    `close` it: the engine holds memory of its own."""
 
     def __init__(
         self,
@@ -67,14 +68,14 @@ class Live:
         *,
         materials: Mapping[str, Material],
     ) -> None:
-        self._stage = Stage(scene, shapes, materials)
+        self._world = PhysicsWorld(scene, shapes, materials)
         self._recorder = Recorder(scene, shapes[0])
         self._breaker, self._rng = breaker, rng
         self.collisions: list[Collision] = []
         """All so far."""
         self.at_rest = False
-        """Whether everything lies still and no ball is awaited; then nothing but a `throw` changes that."""
-        self._recorder.frame(self._stage.moving())
+        """Whether everything is at rest and no ball is to come; only a `throw` changes that."""
+        self._recorder.record(self._world.moving())
 
     def __enter__(self) -> Live:
         return self
@@ -84,66 +85,66 @@ class Live:
 
     def close(self) -> None:
         """Release the engine."""
-        self._stage.close()
+        self._world.close()
 
     @property
     def frames(self) -> int:
-        """Frames written down so far."""
+        """Frames recorded so far."""
         return self._recorder.frames
 
     def at(self, frame: float) -> list[Pose]:
-        """Where everything that can move was at a frame so far, or between two."""
-        return self._recorder.at(frame)
+        """Poses of all moving bodies at a frame recorded so far, or between two."""
+        return self._recorder.poses(frame)
 
     def throw(self, ball: Ball) -> Ball:
-        """Let a ball enter with the next step, whatever its delay says; returns it with the delay that it has."""
-        scene = self._stage.scene
-        # Half a step from now: between two steps, so that rounding cannot make it another one in a replay.
-        ball = replace(ball, delay=self._stage.time + 0.5 / scene.steps_per_second)
-        self._stage.expect(ball)
+        """Let a ball enter with the next step, whatever its delay; returns it with its actual delay."""
+        scene = self._world.scene
+        # Half a step ahead: between two steps, so that rounding cannot shift it to another one in a replay.
+        ball = replace(ball, delay=self._world.time + 0.5 / scene.steps_per_second)
+        self._world.queue_ball(ball)
         self.at_rest = False
         return ball
 
     def advance(self) -> bool:
-        """One frame. Returns whether time went on: while everything rests it does not."""
+        """Simulate one frame. Returns False, and does nothing, while everything is at rest."""
         if self.at_rest:
             return False
-        scene = self._stage.scene
+        scene = self._world.scene
         for _ in range(scene.steps_per_second // scene.frame_rate):
-            for hit in self._stage.step():
-                self.collisions.append(self._ask(hit))
-        moving = self._stage.lift(self._stage.moving())
-        self._recorder.frame(moving)
-        self.at_rest = self._stage.settle(moving, self._recorder.frame_time)
+            for event in self._world.step():
+                self.collisions.append(self._break(event))
+        moving = self._world.depenetrate(self._world.moving())
+        self._recorder.record(moving)
+        self.at_rest = self._world.settle(moving, self._recorder.frame_time)
         return True
 
     def mesh(self, name: str) -> Mesh:
-        """The mesh of the body with that name, which may have broken since."""
+        """The mesh of a body that is or was there."""
         return self._recorder.mesh(name)
 
     def scene(self) -> Scene:
-        """The scene with all balls thrown so far, as long as it has lasted: `simulate` repeats it exactly."""
-        scene = self._stage.scene
+        """The scene with all balls thrown and the time passed so far: `simulate` reproduces it exactly."""
+        scene = self._world.scene
         # Half a frame more, so that rounding cannot drop the last one.
         return replace(scene, duration=(self.frames - 0.5) / scene.frame_rate)
 
     def outcome(self) -> Outcome:
-        """What has happened so far."""
+        """The recording and collisions so far."""
         return Outcome(self._recorder.recording(), tuple(self.collisions))
 
-    def _ask(self, hit: Hit) -> Collision:
-        body = hit.body
-        assert body.shape is not None
+    def _break(self, event: CollisionEvent) -> Collision:
+        """Call the breaker, and put fragments in the place of the body if it breaks."""
+        body = event.body
+        assert body.shape is not None and body.whole is not None
         if body.source is None:
-            whole, fragments = body.shape, self._breaker(body.shape, hit.impact, self._rng)
+            fragments = self._breaker(body.shape, event.impact, self._rng)
         else:
-            assert body.shape.whole is not None
-            whole, fragments = body.shape.whole, self._breaker(body.shape, scaled(hit.impact, body.shape), self._rng)
-            fragments = fragments and real(fragments, body.shape, body.source)
+            own = self._breaker(body.shape, impact_to_fragment(event.impact, body.shape), self._rng)
+            fragments = own and fragments_to_whole(own, body.shape, body.source)
         if fragments is not None:
             with timed("put in"):
-                self._recorder.knows(self._stage.shatter(hit, fragments), fragments, whole)
+                self._world.replace(event, fragments)
+        time, frame = self._world.time, self.frames - 1
         return Collision(
-            body.name, whole, self._stage.time, self.frames - 1, hit.impact, hit.before, hit.after, fragments,
-            body.generation,
-        )  # fmt: skip
+            body.name, body.whole, time, frame, event.impact, event.before, event.after, fragments, body.generation
+        )

@@ -1,4 +1,4 @@
-"""Writes down where every body is, frame by frame."""
+"""Records the pose of every body, frame by frame."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfracture.geometry.rotations import nlerp, rotation_matrix
-from deepfracture.types import Floats, Fragments, Ints, Mesh, Recording, Rigid, Shape, Track
-from deepfracture.world.engine import Motion
-from deepfracture.world.scene import Block, Scene
-from deepfracture.world.stage import Body, block_motion
+from deepfracture.types import Floats, Ints, Mesh, Recording, Rigid, Shape, Track
+from deepfracture.world.engine import BodyState
+from deepfracture.world.rigid_body import RigidBody, block_state
+from deepfracture.world.scene import Scene
 
 FLOOR_HALF = 6.0
-"""Half the side of the floor that is shown [m]."""
+"""Half the side of the floor's mesh [m]."""
 FLOOR_THICKNESS = 0.1
-"""Of the floor that is shown [m]."""
+"""Of the floor's mesh [m]."""
 
 
 class Pose(NamedTuple):
-    """Where a body was."""
+    """The pose of a body, with how it looks."""
 
     number: int
-    """Of the body: no other has it."""
+    """Unique to the body."""
     name: str
     kind: str
     """As in `types.Track`."""
@@ -38,40 +38,41 @@ class Pose(NamedTuple):
 
 
 @dataclass
-class _Line:
-    name: str
-    kind: str
+class _BodyTrack:
+    body: RigidBody
     mesh: Mesh
-    source: Ints | None
-    whole: Shape | None
     start: int
-    body: Body
-    # Numbers one after another: as arrays of their own they would take four times the memory.
+    # Flat arrays of numbers: a numpy array for each frame takes four times the memory.
     positions: array = field(default_factory=lambda: array("d"))
     quats: array = field(default_factory=lambda: array("d"))
     velocities: array = field(default_factory=lambda: array("d"))
-    spins: array = field(default_factory=lambda: array("d"))
+    angular_velocities: array = field(default_factory=lambda: array("d"))
 
-    def add(self, motion: Motion) -> None:
+    def add(self, state: BodyState) -> None:
         """One more frame."""
-        self.positions.frombytes(np.asarray(motion.position, float).tobytes())
-        self.quats.frombytes(np.asarray(motion.quat_wxyz, float).tobytes())
-        self.velocities.frombytes(np.asarray(motion.velocity, float).tobytes())
-        self.spins.frombytes(np.asarray(motion.spin, float).tobytes())
+        self.positions.frombytes(np.asarray(state.position, float).tobytes())
+        self.quats.frombytes(np.asarray(state.quat_wxyz, float).tobytes())
+        self.velocities.frombytes(np.asarray(state.velocity, float).tobytes())
+        self.angular_velocities.frombytes(np.asarray(state.angular_velocity, float).tobytes())
 
     @property
     def count(self) -> int:
-        """Frames in which it existed so far."""
+        """Frames so far in which the body exists."""
         return len(self.positions) // 3
 
-    def has(self, frame: int) -> bool:
-        """Whether it existed in a frame of the recording."""
+    def exists_at(self, frame: int) -> bool:
         return 0 <= frame - self.start < self.count
 
-    def rigid(self) -> Rigid:
-        mass = self.body.mass
-        velocities, spins = _rows([self.velocities], 3), _rows([self.spins], 3)
-        return Rigid(mass.mass, mass.centre, mass.inertia, velocities, spins, self.body.hulls)
+    def pose(self, position: Floats, quat_wxyz: Floats) -> Pose:
+        body = self.body
+        return Pose(body.number, body.name, body.kind, self.mesh, body.source, body.whole, position, quat_wxyz)
+
+    def track(self) -> Track:
+        body, mass = self.body, self.body.mass
+        velocities, angular_velocities = _rows([self.velocities], 3), _rows([self.angular_velocities], 3)
+        rigid = Rigid(mass.mass, mass.centre, mass.inertia, velocities, angular_velocities, body.hulls)
+        positions, quats = _rows([self.positions], 3), _rows([self.quats], 4)
+        return Track(body.name, body.kind, self.mesh, body.source, self.start, positions, quats, body.whole, rigid)
 
 
 class Recorder:
@@ -82,75 +83,52 @@ class Recorder:
         self._reference = reference
         self.frame_time = 1 / scene.frame_rate
         """Seconds between frames."""
-        self._lines: dict[int, _Line] = {}
+        self._tracks: dict[int, _BodyTrack] = {}
         self.frames = 0
-        """How many are written down."""
-        self._pieces: dict[int, tuple[Ints, Shape]] = {}
+        """Frames recorded so far."""
 
-    def knows(self, bodies: list[Body], fragments: Fragments, whole: Shape) -> None:
-        """Which faces of new fragments are crack surface, and of which whole the others are."""
-        for body, piece in zip(bodies, fragments, strict=True):
-            self._pieces[body.number] = piece.source, whole
-
-    def frame(self, moving: list[tuple[Body, Motion]]) -> None:
-        """One frame: everything that exists now."""
-        for body, motion in moving:
-            if body.number not in self._lines:
+    def record(self, moving: list[tuple[RigidBody, BodyState]]) -> None:
+        """One frame, with all moving bodies."""
+        for body, state in moving:
+            if body.number not in self._tracks:
                 mesh = body.mesh if body.mesh is not None else ball_mesh(body.radius)
-                source, whole = self._pieces.get(body.number, (None, body.shape))
-                self._lines[body.number] = _Line(body.name, body.kind, mesh, source, whole, self.frames, body)
-            self._lines[body.number].add(motion)
+                self._tracks[body.number] = _BodyTrack(body, mesh, self.frames)
+            self._tracks[body.number].add(state)
         self.frames += 1
 
-    def at(self, frame: float) -> list[Pose]:
-        """Where everything that moves was at a frame; between two frames it goes straight from one to the other."""
+    def poses(self, frame: float) -> list[Pose]:
+        """Poses of all moving bodies at a frame, interpolated between two frames."""
         first = min(int(frame), self.frames - 1)
-        share = min(frame - first, 1.0)
-        there = [(n, line, first - line.start) for n, line in self._lines.items() if line.has(first)]
-        places = _rows([line.positions[3 * k : 3 * k + 3] for _, line, k in there], 3)
-        quats = _rows([line.quats[4 * k : 4 * k + 4] for _, line, k in there], 4)
-        if share > 0:
-            then = [(line, min(k + 1, line.count - 1)) for _, line, k in there]
-            places = (1 - share) * places + share * _rows([line.positions[3 * k : 3 * k + 3] for line, k in then], 3)
-            quats = nlerp(quats, _rows([line.quats[4 * k : 4 * k + 4] for line, k in then], 4), share)
-        return [
-            Pose(n, line.name, line.kind, line.mesh, line.source, line.whole, place, quat)
-            for (n, line, _), place, quat in zip(there, places, quats, strict=True)
-        ]
+        t = min(frame - first, 1.0)
+        there = [(track, first - track.start) for track in self._tracks.values() if track.exists_at(first)]
+        positions = _rows([track.positions[3 * k : 3 * k + 3] for track, k in there], 3)
+        quats = _rows([track.quats[4 * k : 4 * k + 4] for track, k in there], 4)
+        if t > 0:
+            following = [(track, min(k + 1, track.count - 1)) for track, k in there]
+            ends = _rows([track.positions[3 * k : 3 * k + 3] for track, k in following], 3)
+            positions = (1 - t) * positions + t * ends
+            quats = nlerp(quats, _rows([track.quats[4 * k : 4 * k + 4] for track, k in following], 4), t)
+        return [track.pose(*pose) for (track, _), *pose in zip(there, positions, quats, strict=True)]
 
     def mesh(self, name: str) -> Mesh:
-        """The mesh of a body that is there, or was."""
-        return next(line.mesh for line in self._lines.values() if line.name == name)
+        """The mesh of a body that is or was there."""
+        return next(track.mesh for track in self._tracks.values() if track.body.name == name)
 
     def recording(self) -> Recording:
-        tracks = [
-            Track(
-                line.name,
-                line.kind,
-                line.mesh,
-                line.source,
-                line.start,
-                _rows([line.positions], 3),
-                _rows([line.quats], 4),
-                line.whole,
-                line.rigid(),
-            )
-            for line in self._lines.values()
-        ]
+        tracks = [track.track() for track in self._tracks.values()]
         if self._scene.floor is not None:
-            place = np.tile([0.0, 0.0, self._scene.floor.height], (self.frames, 1))
-            still = np.tile([1.0, 0.0, 0.0, 0.0], (self.frames, 1))
-            tracks.append(Track("floor", "floor", floor_mesh(), None, 0, place, still))
-        tracks += [self._block(i, block) for i, block in enumerate(self._scene.blocks)]
+            position = np.array([0.0, 0.0, self._scene.floor.height])
+            tracks.append(self._fixed("floor", "floor", floor_mesh(), position, np.array([1.0, 0.0, 0.0, 0.0])))
+        for i, block in enumerate(self._scene.blocks):
+            state, mesh = block_state(block), block_mesh(block.half_sides)
+            tracks.append(self._fixed(f"block{i}", "block", mesh, state.position, state.quat_wxyz))
         return Recording(self.frame_time, tuple(tracks), self._user_from_world())
 
-    def _block(self, number: int, block: Block) -> Track:
-        stays = block_motion(block)
-        place, turn = (np.tile(value, (self.frames, 1)) for value in (stays.position, stays.quat_wxyz))
-        return Track(f"block{number}", "block", block_mesh(block.half_sides), None, 0, place, turn)
+    def _fixed(self, name: str, kind: str, mesh: Mesh, position: Floats, quat: Floats) -> Track:
+        return Track(name, kind, mesh, None, 0, *(np.tile(value, (self.frames, 1)) for value in (position, quat)))
 
     def _user_from_world(self) -> Floats:
-        """Where the first shape's file has it, it is at the start."""
+        """Similarity that takes the first shape at the start back to where its file has it."""
         placed = self._scene.shapes[0]
         turn = rotation_matrix(np.asarray(placed.quat_wxyz)).T
         similarity = np.eye(4)
@@ -160,7 +138,7 @@ class Recorder:
 
 
 def _rows(parts: list[array], width: int) -> Floats:
-    """Numbers one after another as rows."""
+    """Flat arrays as the rows of one."""
     return np.frombuffer(b"".join(parts)).reshape(-1, width).copy()
 
 

@@ -41,7 +41,7 @@ from deepfracture.types import (
     Material,
     Recording,
 )
-from deepfracture.world import Collision, Motion
+from deepfracture.world import BodyState, Collision
 from deepfracture.world import Outcome as Ran
 from tests.tools.synthetic import (
     CLAY,
@@ -322,7 +322,7 @@ def test_final_fragments_are_those_that_did_not_break_again() -> None:
         mesh = TETRAHEDRON.mesh.moved(1.0, [x, 0, 0])
         return Fragment(mesh, np.arange(4), 1.0, np.zeros(3), np.eye(3))
 
-    still = Motion(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    still = BodyState(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
     impact = random_sample(np.random.default_rng(0)).impact
 
     def collision(body: str, generation: int, *places: float) -> Collision:

@@ -164,7 +164,7 @@ def test_simulating_starts_at_the_break(recording, tmp_path):
         k = HIT - track.start
         assert not body.GetKinematicEnabledAttr().Get()
         assert np.allclose(body.GetVelocityAttr().Get(), track.rigid.velocities[k])
-        assert np.allclose(body.GetAngularVelocityAttr().Get(), np.degrees(track.rigid.spins[k]))
+        assert np.allclose(body.GetAngularVelocityAttr().Get(), np.degrees(track.rigid.angular_velocities[k]))
         assert not UsdGeom.Xformable(prim).TransformMightBeTimeVarying()
         # local space and stage are parallel, so it does not matter in which of them a program reads velocities
         assert np.allclose(np.array(UsdGeom.Xformable(prim).GetLocalTransformation())[:3, :3], np.eye(3), atol=1e-9)
@@ -305,7 +305,7 @@ def touch(stage, name):
 
 def test_the_mean_of_two_physics_materials_is_how_the_bodies_touched(recording, tmp_path):
     scene = Scene((Placed("bar", "plaster"),), floor=Floor(friction=0.7), friction=0.4, restitution=0.3)
-    stage = opened(recording, tmp_path / "a.usda", "simulated", touch=scene.touch)
+    stage = opened(recording, tmp_path / "a.usda", "simulated", contact_material=scene.contact_material)
     names = dict(zip([track.kind for track in recording.tracks], body_names(recording), strict=True))
     piece, ball, floor = (touch(stage, names[kind]) for kind in ("fragment", "ball", "floor"))
     np.testing.assert_allclose((piece + ball) / 2, [0.4, 0.3], atol=1e-6)
@@ -316,19 +316,22 @@ def test_the_mean_of_two_physics_materials_is_how_the_bodies_touched(recording, 
 
 def test_a_scene_says_how_its_bodies_touch():
     blocks = (Block((0, 0, 0), (1, 1, 1), friction=0.1), Block((0, 0, 0), (1, 1, 1), friction=0.9))
-    touch = Scene(
+    contact = Scene(
         (Placed("bar", "plaster"),), floor=Floor(friction=0.7), blocks=blocks, friction=0.4, restitution=0.3
-    ).touch
-    assert (touch.friction, touch.restitution) == (0.4, 0.3)
-    assert touch.fixed == {"floor": 0.7, "block0": 0.1, "block1": 0.9}
+    ).contact_material
+    assert (contact.friction, contact.restitution) == (0.4, 0.3)
+    assert contact.fixed_friction == {"floor": 0.7, "block0": 0.1, "block1": 0.9}
 
 
 def started(stage):
     """What an engine makes of the file: the engine, and the number of each body in it."""
-    from deepfracture.world.engine import Mass, Motion, Surface, open_engine
+    from deepfracture.geometry import MassProperties
+    from deepfracture.types import ContactMaterial
+    from deepfracture.world.engine import BodyState
+    from deepfracture.world.engines import open_engine
 
     scale = UsdPhysics.Scene(stage.GetPrimAtPath("/deepfracture/physics")).GetGravityMagnitudeAttr().Get() / 9.81
-    engine, bodies = open_engine("rapier", gravity=9.81 * scale, surface=Surface(0.5, 0.2)), {}
+    engine, bodies = open_engine("rapier", gravity=9.81 * scale, contact=ContactMaterial(0.5, 0.2)), {}
     engine.add_floor(float(corners(stage, "floor", 0)[:, 2].max()), 0.6)
     for prim in stage.GetDefaultPrim().GetChildren():
         if not prim.HasAPI(UsdPhysics.RigidBodyAPI):
@@ -339,15 +342,15 @@ def started(stage):
         inertia = turn @ np.diag(mass.GetDiagonalInertiaAttr().Get()) @ turn.T
         place = np.array(UsdGeom.Xformable(prim).GetLocalTransformation().ExtractTranslation())
         spin = np.radians(np.array(body.GetAngularVelocityAttr().Get()))
-        motion = Motion(place, np.array([1.0, 0, 0, 0]), np.array(body.GetVelocityAttr().Get(), float), spin)
+        motion = BodyState(place, np.array([1.0, 0, 0, 0]), np.array(body.GetVelocityAttr().Get(), float), spin)
         hulls = [np.array(UsdGeom.Mesh(c).GetPointsAttr().Get(), float) for c in prim.GetChildren() if "hull" in str(c)]
-        own = Mass(mass.GetMassAttr().Get(), np.zeros(3), inertia)
+        own = MassProperties(mass.GetMassAttr().Get(), np.zeros(3), inertia)
         if hulls:
             bodies[prim.GetName()] = engine.add_body(hulls, own, motion)
         else:
             radius = np.ptp(corners(stage, prim.GetName(), 0), axis=0).max() / 2
             bodies[prim.GetName()] = engine.add_ball(radius, own.mass, motion)
-    engine.prefer_piles()
+    engine.prefer_stacking()
     return engine, bodies
 
 
@@ -365,7 +368,7 @@ def test_a_simulation_that_reads_the_file_goes_on_as_the_recording_does(shattere
                 user[:3, :3] @ pivot_positions(track)[frame - track.start] + user[:3, 3]
                 for frame in (first, first + later)
             )
-            off.append(np.linalg.norm(engine.motion(bodies[name]).position - after))
+            off.append(np.linalg.norm(engine.state(bodies[name]).position - after))
             moved.append(np.linalg.norm(after - before))
     engine.close()
     assert len(bodies) > 10 and np.mean(moved) > 0.05

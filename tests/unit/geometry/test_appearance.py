@@ -10,7 +10,7 @@ import pytest
 from deepfracture.geometry import builtin, load_shape
 from deepfracture.geometry.appearance import INNER, barycentric, carried, followed, planar_uv
 from deepfracture.types import Appearance, BadInput, Finish, Fragments, Mesh, Shape
-from deepfracture.world.pieces import as_shape, real
+from deepfracture.world.refracture import fragment_as_shape, fragments_to_whole
 
 tools = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "painted.py"))
 TURN = np.array([[0.3, -0.5, 0.2], [0.4, 0.1, -0.6]])
@@ -82,8 +82,8 @@ def test_a_linear_coordinate_stays_linear(ball, pieces):
 def test_fragments_of_fragments_refer_to_the_whole(ball, pieces):
     given = wild(len(ball.mesh.faces))
     piece = max(pieces, key=lambda p: p.volume)
-    shape = as_shape(piece, "piece", ball)
-    again = real(tools["broken"](shape), shape, piece.source)
+    shape = fragment_as_shape(piece, "piece", ball)
+    again = fragments_to_whole(tools["broken"](shape), shape, piece.source)
     assert len(again) > 1
     for small in again:
         look = carried(given, ball.mesh, small.mesh, small.source)

@@ -21,7 +21,7 @@ from deepfracture.soak.hit import Prepared, Shop, Watched, hit, prepare
 from deepfracture.soak.plan import SHARES, ready
 from deepfracture.soak.results import FILE, GROWTH, WARM, growth, sound
 from deepfracture.types import BadInput, Fragment, Fragments, Mesh
-from deepfracture.world.stage import SINKING
+from deepfracture.world.floor_penetration import PENETRATION_SLOP
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 FAST = Settings(("bar", "letter_a"), ("voronoi",), seed=5, resolution=32)
@@ -243,7 +243,7 @@ def test_what_is_pressed_into_the_floor_does_not_sink_in(shape, breaker, seed):
     settings = Settings((str(shape),), (breaker,), seed=seed)
     row = hit(prepare(Shop(settings), case(settings, 0)))
     assert row["breaks"] and not row["failures"]
-    assert row["deepest"] < 1.01 * SINKING
+    assert row["deepest"] < 1.01 * PENETRATION_SLOP
 
 
 def test_a_contact_that_gives_no_momentum_is_no_blow():

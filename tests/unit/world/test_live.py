@@ -11,16 +11,21 @@ from deepfracture.fracture import material
 from deepfracture.geometry import builtin
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import BadInput
-from deepfracture.world import Ball, Floor, Live, Scene, load_scene, save_scene, simulate, standing
-from deepfracture.world.stage import SINKING
+from deepfracture.world import Ball, Floor, Live, Scene, load_scene, place_on_floor, save_scene, simulate
+from deepfracture.world.floor_penetration import PENETRATION_SLOP
 
 snapper = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "snap.py"))["snapper"]
 GLASS = {"glass": material("glass")}
 
 
-def open_live(shape, again="balls", **options):
+def open_live(shape, refracture_by="balls", **options):
     scene = Scene(
-        (standing(shape.name, shape, material="glass"),), floor=Floor(), refracture=2, again=again, seed=3, **options
+        (place_on_floor(shape.name, shape, material="glass"),),
+        floor=Floor(),
+        refracture=2,
+        refracture_by=refracture_by,
+        seed=3,
+        **options,
     )
     return Live(scene, [shape], snapper(), np.random.default_rng(scene.seed), materials=GLASS)
 
@@ -148,15 +153,15 @@ def test_a_heavy_ball_presses_nothing_into_the_floor(engine):
             (corners @ rotation_matrix(quat)[2]).min() + place[2]
             for quat, place in zip(track.quats_wxyz, track.positions, strict=True)
         ]
-        assert min(lowest) > -1.001 * SINKING
+        assert min(lowest) > -1.001 * PENETRATION_SLOP
 
 
 def test_fields_of_a_scene_that_are_new_survive_their_file(tmp_path):
     shape = builtin("bar")
-    scene = Scene((standing("bar", shape, material="glass", repair=True),), again="balls")
+    scene = Scene((place_on_floor("bar", shape, material="glass", repair=True),), refracture_by="balls")
     save_scene(scene, tmp_path / "scene.toml")
     assert load_scene(tmp_path / "scene.toml") == scene
-    with pytest.raises(BadInput, match="again must be anything or balls"):
-        replace(scene, again="never")
+    with pytest.raises(BadInput, match="refracture_by must be anything or balls"):
+        replace(scene, refracture_by="never")
     with pytest.raises(BadInput, match="repair must be true or false"):
         replace(scene.shapes[0], repair="yes")

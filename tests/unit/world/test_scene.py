@@ -17,9 +17,9 @@ from deepfracture.world import (
     Placed,
     Scene,
     draw_scene,
-    learning_scene,
     load_scene,
     save_scene,
+    single_ball_scene,
     throw_scene,
 )
 
@@ -46,7 +46,7 @@ FULL = Scene(
     steps_per_second=480,
     friction=0.4,
     restitution=0.0,
-    push=1.0,
+    impulse_fraction=1.0,
     engine="bullet",
     seed=12,
     breaker="voronoi",
@@ -159,7 +159,7 @@ def test_learning_balls_come_from_everywhere_towards_the_centre() -> None:
     rng = np.random.default_rng(5)
     starts = []
     for _ in range(200):
-        scene = learning_scene("box", _box(), rng, material="glass", speed=(5, 10))
+        scene = single_ball_scene("box", _box(), rng, material="glass", speed=(5, 10))
         ball = scene.balls[0]
         position, velocity = np.array(ball.position), np.array(ball.velocity)
         assert np.linalg.norm(np.cross(position, velocity)) < 1e-9
@@ -173,7 +173,7 @@ def test_learning_balls_come_from_everywhere_towards_the_centre() -> None:
 
 def test_a_ball_must_start_outside() -> None:
     with pytest.raises(BadInput, match="distance"):
-        learning_scene("box", _box(), np.random.default_rng(0), material="glass", distance=1.0)
+        single_ball_scene("box", _box(), np.random.default_rng(0), material="glass", distance=1.0)
 
 
 def _draw(kind: str, number: int, seed: int = 0, shape: Shape | None = None) -> Scene:
@@ -197,7 +197,7 @@ def test_learning_scenes_follow_from_their_generator(kind: str) -> None:
 
 
 def test_single_is_the_scene_that_it_was() -> None:
-    old = learning_scene("box", _box(), np.random.default_rng(3), material="glass", speed=(4.0, 12.0))
+    old = single_ball_scene("box", _box(), np.random.default_rng(3), material="glass", speed=(4.0, 12.0))
     assert _draw("single", 3) == old
 
 

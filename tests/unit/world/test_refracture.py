@@ -17,7 +17,7 @@ from deepfracture.fracture.contact import contacts
 from deepfracture.fracture.similar import KEPT
 from deepfracture.geometry import mass_properties
 from deepfracture.types import FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape, Volume
-from deepfracture.world.pieces import as_shape, real, scaled
+from deepfracture.world.refracture import fragment_as_shape, fragments_to_whole, impact_to_fragment
 
 PLASTER = material("plaster")
 
@@ -38,7 +38,7 @@ def _fragment(mesh: Mesh, source: np.ndarray | None = None) -> Fragment:
 
 WHOLE = Shape("beam", _box((-1, -0.4, -0.3), (1, 0.4, 0.3)), scale=30.0, centre=np.array([100.0, 0.0, -5.0]))
 CORNER = _fragment(_box((0.5, -0.4, 0.0), (1.0, 0.1, 0.3)), np.array([7, -1, 3, -1, 5, -1, 9, -1, 11, -1, 2, -1]))
-PIECE = as_shape(CORNER, "corner", WHOLE)
+PIECE = fragment_as_shape(CORNER, "corner", WHOLE)
 
 
 def test_a_piece_has_a_frame_of_its_own_and_knows_the_way_back() -> None:
@@ -58,7 +58,7 @@ def test_what_a_piece_breaks_into_is_real_again() -> None:
         _fragment(_box(tuple(low), (middle[0], high[1], high[2])), cracked),
         _fragment(_box((middle[0], low[1], low[2]), tuple(high))),
     ]
-    back = list(real(Fragments(tuple(halves)), PIECE, CORNER.source))
+    back = list(fragments_to_whole(Fragments(tuple(halves)), PIECE, CORNER.source))
     expected = [_box((0.5, -0.4, 0.0), (0.75, 0.1, 0.3)), _box((0.75, -0.4, 0.0), (1.0, 0.1, 0.3))]
     for piece, mesh in zip(back, expected, strict=True):
         have = mass_properties(mesh, PLASTER.density)
@@ -77,7 +77,7 @@ def test_scaled_impacts_keep_stress_and_scale_time() -> None:
     contact), and the contact lasts in proportion to the size."""
     normal = np.array([[0.0, 0.0, 1.0]])
     impact = Impact(np.array([[0.7, -0.1, 0.3]]), -normal, np.array([40.0]), normal, speed=6.0, radius=0.2)
-    small = scaled(impact, PIECE)
+    small = impact_to_fragment(impact, PIECE)
     s = PIECE.size
     np.testing.assert_allclose(PIECE.to_user(small.position), WHOLE.to_user(impact.position))
     assert small.magnitude[0] == pytest.approx(40.0 / s**3)
@@ -139,7 +139,7 @@ def _blow(strength: float) -> Impact:
 
 
 def test_a_blow_on_a_piece_is_one_on_the_whole_at_the_same_place() -> None:
-    own = scaled(_blow(40.0), PIECE)
+    own = impact_to_fragment(_blow(40.0), PIECE)
     there = on_whole(own, PIECE)
     np.testing.assert_allclose(there.position, _blow(40.0).position)
     assert there.magnitude[0] == pytest.approx(own.magnitude[0])  # as strong as it is for the piece
@@ -155,10 +155,12 @@ def test_a_model_of_the_whole_breaks_a_piece_within_bounds() -> None:
 
     learned = Learned(answers, weakest=1000.0)
     rng = np.random.default_rng(0)
-    broken = learned(PIECE, scaled(_blow(40.0), PIECE), rng)
+    broken = learned(PIECE, impact_to_fragment(_blow(40.0), PIECE), rng)
     assert broken is not None
     assert broken.count == 2
-    assert learned(PIECE, scaled(_blow(10.0), PIECE), rng) is None  # 640 in its own frame: a model knows no such blow
+    assert (
+        learned(PIECE, impact_to_fragment(_blow(10.0), PIECE), rng) is None
+    )  # 640 in its own frame: a model knows no such blow
     assert len(asked) == 1
     whole = learned(WHOLE, _blow(10.0), rng)
     assert whole is not None
@@ -179,7 +181,9 @@ def test_a_fragment_is_not_taken_for_another_that_is_gone() -> None:
     )
     seen = []
     for number in range(2 * KEPT):
-        thin = as_shape(_fragment(_box((0.5, 0, 0), (1.0, 0.1, 1e-5 * (1 + number)))), f"sliver {number}", WHOLE)
+        thin = fragment_as_shape(
+            _fragment(_box((0.5, 0, 0), (1.0, 0.1, 1e-5 * (1 + number)))), f"sliver {number}", WHOLE
+        )
         assert pieces(thin, blow, np.random.default_rng(0)) is None
         seen.append(weakref.ref(thin))
         del thin
