@@ -125,7 +125,8 @@ class Recorder:
         return Recording(self.frame_time, tuple(tracks), self._user_from_world())
 
     def _fixed(self, name: str, kind: str, mesh: Mesh, position: Floats, quat: Floats) -> Track:
-        return Track(name, kind, mesh, None, 0, *(np.tile(value, (self.frames, 1)) for value in (position, quat)))
+        positions, quats = np.tile(position, (self.frames, 1)), np.tile(quat, (self.frames, 1))
+        return Track(name, kind, mesh, None, 0, positions, quats)
 
     def _user_from_world(self) -> Floats:
         """Similarity that takes the first shape at the start back to where its file has it."""

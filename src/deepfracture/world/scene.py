@@ -148,9 +148,9 @@ class Scene:
     restitution: float = 0.2
     """Of every contact."""
     impulse_fraction: float = field(default=0.3, metadata={"key": "push"})
-    """Fraction of a breaking collision's impulse that the shape takes as a whole before fragments replace it: with 1 they
-    start from the velocity after the collision, with 0 from the velocity before it, and the striker keeps going
-    and pushes the fragments that it meets. Momentum is conserved for every fraction. `push` in a scene file."""
+    """Share of a breaking collision's impulse that the shape takes as a whole before fragments replace it: with 1
+    they start from the velocity after the collision, with 0 from the velocity before it, and the striker keeps
+    going and pushes the fragments that it meets. Momentum is conserved for every fraction. `push` in a scene file."""
     engine: str = "rapier"
     seed: int = 0
     breaker: str = ""

@@ -54,7 +54,7 @@ def test_what_is_installed_here_works(capsys: pytest.CaptureFixture[str]) -> Non
 def test_the_engine_check_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     from deepfracture.world import engines
 
-    real = engine.open_engine
+    real = engines.open_engine
     monkeypatch.setattr(engines, "open_engine", lambda name, **how: real(name, **{**how, "gravity": 0.0}))
     rapier = next(one for one in parts() if one.name == "rapier")
     assert examine(rapier).state == "broken"

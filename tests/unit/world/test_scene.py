@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -268,3 +269,31 @@ def test_the_shear_ball_comes_down_beside_an_edge() -> None:
         for block in scene.blocks:  # the shape lies on both
             assert block.position[2] + block.half_sides[2] == pytest.approx(turned[:, 2].min(), abs=1e-6)
         assert ball.position[2] - ball.radius > turned[:, 2].max()
+
+
+def test_renamed_fields_still_work_with_a_warning() -> None:
+    placed = Placed("pot", "glass")
+    with pytest.warns(DeprecationWarning, match=r"Scene\.push is now called impulse_fraction"):
+        scene = Scene((placed,), **{"push": 0.5})
+    with pytest.warns(DeprecationWarning, match="refracture_by"):
+        scene = replace(scene, **{"again": "balls"})
+    with pytest.warns(DeprecationWarning, match="angular_velocity"):
+        assert getattr(replace(placed, **{"spin": (1, 2, 3)}), "spin") == (1.0, 2.0, 3.0)  # noqa: B009
+    assert (scene.impulse_fraction, scene.refracture_by) == (0.5, "balls")
+    with pytest.warns(DeprecationWarning):
+        assert getattr(scene, "push") == 0.5  # noqa: B009
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_files_keep_the_keys_push_again_and_spin(tmp_path: Path, suffix: str) -> None:
+    placed = Placed("pot", "glass", angular_velocity=(1, 2, 3))
+    scene = Scene((placed,), impulse_fraction=0.5, refracture_by="balls")
+    path = tmp_path / f"scene{suffix}"
+    save_scene(scene, path)
+    text = path.read_text(encoding="utf-8")
+    assert all(key in text for key in ("push", "again", "spin"))
+    assert not any(name in text for name in ("impulse_fraction", "refracture_by", "angular_velocity"))
+    assert load_scene(path) == scene
+    path.write_text(text.replace("0.5", "1.5"), encoding="utf-8")
+    with pytest.raises(BadInput, match=r"push must be at most 1, got 1\.5"):
+        load_scene(path)
