@@ -241,7 +241,7 @@ def report(found: dict[str, dict[str, Any]], paper: dict[str, Floats], near: flo
             f"{about['largest_share']:.0%}",
         ))  # fmt: skip
     lines = [
-        "# Fragments in numbers",
+        "# Fragment statistics",
         "Made by `python benchmarks/collision_statistics.py`. Rank correlations are Spearman's, with the "
         f"{CONFIDENCE:.0%} interval of {RESAMPLES} bootstrap samples. Small: below {small:g} of the mean volume of all "
         f"fragments of the shape's collisions; near: centre within {near:g} m of the hit. Volume in small ones: the "

@@ -217,7 +217,7 @@ def verdict(plain: Outcome, mended: Outcome) -> str:
         return FAILED
     if plain.kind == "broken":
         return "broken"
-    return "mended, then broken" if mended.kind == "broken" else "refused"
+    return "repaired, then broken" if mended.kind == "broken" else "refused"
 
 
 def run(
@@ -269,7 +269,7 @@ def report(found: list[tuple[str, str, Outcome, Outcome]]) -> str:
     kinds: dict[str, Counter[str]] = defaultdict(Counter)
     for kind, _, plain, mended in found:
         kinds[kind][verdict(plain, mended)] += 1
-    columns = ("broken", "mended, then broken", "refused", FAILED)
+    columns = ("broken", "repaired, then broken", "refused", FAILED)
     total: Counter[str] = Counter()
     rows = []
     for kind, counts in kinds.items():
@@ -290,10 +290,10 @@ def report(found: list[tuple[str, str, Outcome, Outcome]]) -> str:
         about += [table(["case", "outcome", "as it is", "with `--repair`"], lines)]
     return (
         "# Hostile meshes\n\n"
-        f"`benchmarks/hostile_meshes.py` makes {total.total()} meshes and mesh files that nobody should send, and\n"
+        f"`benchmarks/hostile_meshes.py` makes {total.total()} hostile meshes and mesh files, and\n"
         "loads and breaks each twice, as it is and with `--repair`: Voronoi breaker, 32 voxels, all fragments checked\n"
-        "(closed, manifold, one body, outward, volumes add up, outside untouched). Each runs in a process of its own\n"
-        f"that may take {MEMORY >> 30} GB and {SECONDS} s of processor time. *Refused* means one line that\n"
+        "(closed, manifold, one body, outward, volumes add up, original surface unchanged). Each runs in a\n"
+        f"process of its own limited to {MEMORY >> 30} GB and {SECONDS} s of CPU time. *Refused* means one line that\n"
         "says what is wrong and what to do.\n\n" + table(head, rows) + "\n## Every case\n" + "".join(about)
     )
 

@@ -40,18 +40,18 @@ def profiles(shape: str = "pot", resolution: int = 128, out: Path = ROOT / "docs
     """
     body, grid = load_shape(shape), Grid(resolution)
     parts = {
-        "Set-up of a body, nothing kept": lambda: _set_up(body, grid),
+        "Set-up of a body, nothing cached": lambda: _set_up(body, grid),
         f"{HITS} physical hits": _hits(body, grid),
-        "A scene: thrown, broken into Voronoi cells, until all rests": _scene(body, grid),
+        "A scene: a throw, Voronoi cells, until everything rests": _scene(body, grid),
     }
     made = stamp()
     lines = [
-        "# Where the time goes",
+        "# Profiles",
         "",
-        f"The three slowest things that the program does with the {body.name}, r = {resolution}, by the processor time",
+        f"The three slowest operations of the program on the {body.name}, r = {resolution}, by the CPU time",
         f"of their functions (cProfile); kernels compiled beforehand count as one function each. {made['processor']},",
         f"Python {made['python']}; written by `python benchmarks/profiles.py`. Stages and their seconds:",
-        "[performance.md](performance.md). For a run of your own, `--profile FILE` goes with every command.",
+        "[performance](performance.md). Every command takes `--profile FILE` to profile a run of your own.",
         "",
     ]
     for title, job in parts.items():
