@@ -133,7 +133,6 @@ def broken(name: str, data: Path) -> Recording:
     """A ball thrown at the shape; Voronoi cells, so that any mesh will do."""
     from deepfracture.breakers import make_breaker
     from deepfracture.fracture import material
-    from deepfracture.types import Grid
     from deepfracture.world import simulate, throw_scene
 
     shape = shape_named(name, data)
@@ -145,7 +144,7 @@ def broken(name: str, data: Path) -> Recording:
         name, shape, np.random.default_rng(1), material="plaster", speed=9.0, direction=np.array([0.3, 1.0, -0.15]),
         quat_wxyz=quat,
     )  # fmt: skip
-    breaker = make_breaker("voronoi", shape, plaster, Grid(64))
+    breaker = make_breaker("voronoi", shape, plaster)
     outcome = simulate(scene, [shape], breaker, np.random.default_rng(1), materials={"plaster": plaster})
     return outcome.recording
 

@@ -34,6 +34,7 @@ from deepfracture.dataset import (
     DatasetSettings,
     Local,
     RayCluster,
+    SimulateOptions,
     Simulator,
     open_dataset,
     recorded,
@@ -151,9 +152,9 @@ class _Runs:
         """Entries a second, once a quarter is stored: starting the workers is paid once and not counted."""
         begun = time.monotonic()
         data: Dataset = simulate_collisions(
-            builtin(self.shape), material("plaster"), self.out / name, collisions=self.collisions,
-            resolution=self.resolution, seed=SEED, speed_range=(4.0, 15.0), executor=executor,
-            make_simulator=make_simulator or self.healthy, limit=limit, memory=memory,
+            builtin(self.shape), material("plaster"), self.out / name,
+            SimulateOptions(self.collisions, self.resolution, limit=limit, memory=memory, seed=SEED),
+            executor=executor, make_simulator=make_simulator or self.healthy,
         )  # fmt: skip
         seconds = time.monotonic() - begun
         times = sorted(path.stat().st_mtime for path in (self.out / name / "entries").iterdir())
@@ -172,8 +173,8 @@ class _Runs:
 
         begun = time.monotonic()
         data = simulate_collisions(
-            builtin(self.shape), material("plaster"), f"s3://{BUCKET}/set", collisions=self.collisions,
-            resolution=self.resolution, seed=SEED, speed_range=(4.0, 15.0), executor=RayCluster(self.address, None),
+            builtin(self.shape), material("plaster"), f"s3://{BUCKET}/set",
+            SimulateOptions(self.collisions, self.resolution, seed=SEED), executor=RayCluster(self.address, None),
             make_simulator=self.healthy,
         )  # fmt: skip
         self.log(f"bucket: {data.tried} entries, {data.failed} failed, in {time.monotonic() - begun:.1f} s")

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from common import DATA, REFERENCE, ROOT, SPEEDS, fragment_volumes, shape_named, start, table, write_json, write_text
 
-from deepfracture.dataset import Dataset, Local, Sample, open_dataset, simulate_collisions
+from deepfracture.dataset import Dataset, Sample, SimulateOptions, open_dataset, simulate_collisions
 from deepfracture.fracture import material
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
@@ -119,8 +119,8 @@ def collision_statistics(
             log.warning("%s: %d collisions", shape.name, collisions)
             sets.append(
                 simulate_collisions(
-                    shape, material(preset), folder, collisions=collisions, resolution=resolution, seed=seed,
-                    speed_range=speed, executor=Local(workers),
+                    shape, material(preset), folder,
+                    SimulateOptions(collisions, resolution, speed, workers=workers, seed=seed),
                 )
             )  # fmt: skip
     if not sets:

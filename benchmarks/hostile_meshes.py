@@ -25,7 +25,7 @@ from common import ROOT, start, table, write_text
 from hostile_files import File, files, ply
 from hostile_solids import cube, solids
 
-from deepfracture.breakers import make_breaker
+from deepfracture.breakers import BreakerOptions, make_breaker
 from deepfracture.fracture import material
 from deepfracture.geometry import load_shape
 from deepfracture.geometry.intersect import self_intersections
@@ -114,7 +114,7 @@ def _same(one: Shape, other: Shape) -> bool:
 
 def break_one(shape: Shape) -> Outcome:
     """Break a shape, and check every fragment. A refusal is an exception."""
-    breaker = make_breaker("voronoi", shape, material(MATERIAL), GRID)
+    breaker = make_breaker("voronoi", shape, material(MATERIAL), BreakerOptions(resolution=GRID.resolution))
     fragments = breaker(shape, hit(shape), np.random.default_rng(0))
     if fragments is None:
         return Outcome(FAILED, "withstood the blow")

@@ -17,7 +17,7 @@ from common import ROOT, start, table, write_text
 from deepfracture.bench import stamp
 from deepfracture.bench.fracture import empty_cache
 from deepfracture.bench.hits import random_hits
-from deepfracture.breakers import make_breaker
+from deepfracture.breakers import BreakerOptions, make_breaker
 from deepfracture.fracture import MATERIALS, material, prepare_body, simulate
 from deepfracture.geometry import load_shape
 from deepfracture.types import Grid, Shape
@@ -61,11 +61,11 @@ def profiles(shape: str = "pot", resolution: int = 128, out: Path = ROOT / "docs
 
 def _set_up(shape: Shape, grid: Grid) -> None:
     with empty_cache():
-        prepare_body(shape, material("plaster"), grid)
+        prepare_body(shape, material("plaster"), BreakerOptions(resolution=grid.resolution))
 
 
 def _hits(shape: Shape, grid: Grid) -> Callable[[], None]:
-    body = prepare_body(shape, material("plaster"), grid)
+    body = prepare_body(shape, material("plaster"), BreakerOptions(resolution=grid.resolution))
     impacts = random_hits(shape, body.material, HITS)
 
     def job() -> None:
@@ -77,7 +77,7 @@ def _hits(shape: Shape, grid: Grid) -> Callable[[], None]:
 
 def _scene(shape: Shape, grid: Grid) -> Callable[[], None]:
     scene = throw_scene(shape.name, shape, np.random.default_rng(0), material="plaster")
-    breaker = make_breaker("voronoi", shape, material("plaster"), grid)
+    breaker = make_breaker("voronoi", shape, material("plaster"), BreakerOptions(resolution=grid.resolution))
     return lambda: _drop(run(scene, [shape], breaker, np.random.default_rng(0), materials=MATERIALS))
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from common import DATA, MISSES, ROOT, SPEEDS, shape_named, start, table, write_text
 
-from deepfracture.breakers import make_breaker
+from deepfracture.breakers import BreakerOptions, make_breaker
 from deepfracture.fracture import material
 from deepfracture.geometry import MassProperties
 from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
@@ -92,7 +92,7 @@ def breaks_of(shape: Shape, made_of: Material, grid: Grid, model: Path | None) -
     has = embedded_model(shape.name)
     for name in ("learned", "voronoi") if has or model else ("voronoi",):
         own = None if has or name != "learned" else model
-        breaker = make_breaker(name, shape, made_of, grid, model=own)
+        breaker = make_breaker(name, shape, made_of, BreakerOptions(model=own, resolution=grid.resolution))
         rng = np.random.default_rng(3)
         for _ in range(MISSES):
             scene = single_ball_scene(shape.name, shape, rng, material=made_of.name, speed=(2 * SPEEDS[0], SPEEDS[1]))

@@ -26,7 +26,7 @@ from deepfracture.render.camera import frame_points
 from deepfracture.render.studio import RecordingStudio
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
-from deepfracture.types import Appearance, BadInput, Finish, Floats, Grid, Ints, Recording, Shape
+from deepfracture.types import Appearance, BadInput, Finish, Floats, Ints, Recording, Shape
 from deepfracture.world import Ball, Floor, Placed, Scene, simulate
 from deepfracture.world.scene import STEEL
 
@@ -147,7 +147,7 @@ def broken(shape: Shape, seed: int, speed: float, seconds: float, pictures: int)
         frame_rate=rate, steps_per_second=rate, seed=seed,
     )  # fmt: skip
     material = preset(MATERIAL)
-    breaker = make_breaker("learned", shape, material, Grid(64))
+    breaker = make_breaker("learned", shape, material)
     rng = np.random.default_rng([seed, 1])
     return simulate(scene, [shape], breaker, rng, materials={MATERIAL: material}).recording
 

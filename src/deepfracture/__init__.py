@@ -26,9 +26,12 @@ if TYPE_CHECKING:
     from deepfracture.api import throw_scene as throw_scene
     from deepfracture.api import train as train
     from deepfracture.breakers import BREAKERS as BREAKERS
+    from deepfracture.breakers import BreakerOptions as BreakerOptions
+    from deepfracture.dataset import SimulateOptions as SimulateOptions
     from deepfracture.fracture import MATERIALS as MATERIALS
     from deepfracture.fracture import material as material
     from deepfracture.geometry import BUILTIN as BUILTIN
+    from deepfracture.learn import TrainOptions as TrainOptions
     from deepfracture.types import BadInput as BadInput
     from deepfracture.types import Breaker as Breaker
     from deepfracture.types import FracturePattern as FracturePattern
@@ -53,9 +56,11 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "api": ("breaker", "hit", "load", "run", "save", "simulate", "stress", "throw", "throw_scene", "train"),
-    "breakers": ("BREAKERS",),
+    "breakers": ("BREAKERS", "BreakerOptions"),
+    "dataset": ("SimulateOptions",),
     "fracture": ("MATERIALS", "material"),
     "geometry": ("BUILTIN",),
+    "learn": ("TrainOptions",),
     "types": (
         "BadInput", "Breaker", "FracturePattern", "Fragment", "Fragments", "Grid", "Impact", "Material", "Mesh",
         "NoSolution", "Recording", "Shape", "Volume",

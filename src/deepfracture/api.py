@@ -20,7 +20,7 @@ from the coordinates of its file, and back.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -28,14 +28,16 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deepfracture.breakers import AGAIN, make_breaker
+from deepfracture.breakers import REFRACTURING, BreakerOptions, make_breaker
+from deepfracture.breakers.options import RENAMED
+from deepfracture.dataset.options import SimulateOptions
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset_material
 from deepfracture.geometry import closest, load_shape
 from deepfracture.learn.options import OURS, PRESETS, TrainOptions
 from deepfracture.runtime.options import with_changes
 from deepfracture.runtime.suggest import did_you_mean
-from deepfracture.types import BadInput, Breaker, Floats, Fragments, Grid, Impact, Material, Recording, Shape
+from deepfracture.types import BadInput, Breaker, Floats, Fragments, Impact, Material, Recording, Shape
 from deepfracture.world import UPRIGHT, Collision, Outcome, Scene, save_scene
 from deepfracture.world import simulate as run_world
 from deepfracture.world import throw_scene as built_scene
@@ -79,46 +81,32 @@ def load(name: PathLike, *, repair: bool = False) -> Shape:
 def breaker(
     name: str,
     shape: Shape,
+    options: BreakerOptions | None = None,
     *,
     material: str | Material = "plaster",
-    model: PathLike | None = None,
-    dataset: PathLike | None = None,
-    resolution: int = 64,
-    roughness: float = 0.0,
-    budget: int | None = None,
+    **changes: Any,
 ) -> Breaker:
     """A way for `shape` to break: call it with the shape, an `Impact` and a generator.
 
     Args:
         name: One of `BREAKERS`: learned, physical, voronoi, nearest, cvd or random.
         shape: What it is to break; a `learned` one knows no other.
+        options: What it is made from, and how finely it breaks; the default ones if not given.
         material: One of `MATERIALS`, or a `Material` of your own.
-        model: Trained weights, in place of those that come with the built-in shapes.
-        dataset: Folder of simulated patterns, which `nearest` and `random` recall, and `cvd` counts.
-        resolution: Voxels along each axis for `physical`, `voronoi` and `cvd`: 32, 64, 128 or 256.
-        roughness: Grain of the crack faces [m].
-        budget: Most triangles a fragment, taken from the cracks as far as their rims allow; None: any number.
+        changes: Fields of `BreakerOptions` by name: model, dataset, resolution, roughness, max_faces.
 
     Returns:
-        A `Breaker`: fragments in the body frame, or None where the blow breaks nothing.
+        A `Breaker`: fragments in the body frame, or None where the impact breaks nothing.
 
     Raises:
-        BadInput: No such breaker or material; no model or data set for the shape.
+        BadInput: No such breaker, material or option; no model or data set for the shape.
 
     Examples:
         >>> breaker = df.breaker("physical", statue, material="stone", resolution=128)
         >>> fragments = breaker(statue, blow, np.random.default_rng(0))
     """
-    return make_breaker(
-        name,
-        shape,
-        _material(material),
-        Grid(resolution),
-        model=None if model is None else Path(model),
-        dataset=None if dataset is None else Path(dataset),
-        roughness=roughness,
-        budget=budget,
-    )
+    options = with_changes(options or BreakerOptions(), changes, renamed=RENAMED)
+    return make_breaker(name, shape, _material(material), options)
 
 
 def hit(
@@ -284,11 +272,8 @@ def run(
     shapes: Sequence[Shape] | None = None,
     materials: Mapping[str, Material] | None = None,
     rng: np.random.Generator | None = None,
-    model: PathLike | None = None,
-    dataset: PathLike | None = None,
-    resolution: int = 64,
-    roughness: float = 0.0,
-    budget: int | None = None,
+    options: BreakerOptions | None = None,
+    **changes: Any,
 ) -> Outcome:
     """Run a scene until everything lies still or its duration is over.
 
@@ -299,11 +284,8 @@ def run(
         shapes: The scene's shapes, in order; by default they are loaded by their names.
         materials: The scene's materials by name; by default presets.
         rng: Draws how things break; by default that of the scene's seed.
-        model: With a name, as in `breaker`; so are the rest.
-        dataset: Folder of simulated patterns.
-        resolution: Voxels along each axis.
-        roughness: Grain of the crack faces [m].
-        budget: Most triangles a fragment, taken from the cracks as far as their rims allow; None: any number.
+        options: Of a breaker that is made from a name.
+        changes: Fields of `BreakerOptions` by name, as in `breaker`.
 
     Raises:
         BadInput: A shape, material or breaker that is not there, or does not fit the scene.
@@ -320,40 +302,26 @@ def run(
     unknown = [placed.material for placed in scene.shapes if placed.material not in materials]
     if unknown:
         raise BadInput(f"materials lacks {unknown[0]!r}, which the scene names; it has {', '.join(materials)}")
+    options = with_changes(options or BreakerOptions(), changes, renamed=RENAMED)
     chosen = breaker or scene.breaker or "learned"
     if isinstance(chosen, str):
-        chosen = scene_breaker(
-            chosen, scene, shapes, materials,
-            model=model, dataset=dataset, resolution=resolution, roughness=roughness, budget=budget,
-        )  # fmt: skip
-    elif model is not None or dataset is not None:
+        chosen = scene_breaker(chosen, scene, shapes, materials, options)
+    elif options.model is not None or options.dataset is not None:
         raise BadInput("model and dataset go with the name of a breaker; this one is made already")
     rng = rng or np.random.default_rng(scene.seed)
     return run_world(scene, shapes, chosen, rng, materials=materials)
 
 
 def scene_breaker(
-    name: str,
-    scene: Scene,
-    shapes: Sequence[Shape],
-    materials: Mapping[str, Material],
-    *,
-    model: PathLike | None = None,
-    dataset: PathLike | None = None,
-    resolution: int = 64,
-    roughness: float = 0.0,
-    budget: int | None = None,
+    name: str, scene: Scene, shapes: Sequence[Shape], materials: Mapping[str, Material], options: BreakerOptions
 ) -> Breaker:
     """One breaker that knows every shape of a scene, and their fragments; arguments as in `run` and `breaker`."""
-    if scene.refracture and name not in AGAIN:
-        raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {', '.join(AGAIN)}")
+    if scene.refracture and name not in REFRACTURING:
+        raise BadInput(f"breaker {name!r} breaks no fragments again; with refracture use {', '.join(REFRACTURING)}")
     known = {
-        shape: breaker(
-            name, shape, material=materials[placed.material],
-            model=model, dataset=dataset, resolution=resolution, roughness=roughness, budget=budget,
-        )
+        shape: make_breaker(name, shape, materials[placed.material], options)
         for placed, shape in zip(scene.shapes, shapes, strict=True)
-    }  # fmt: skip
+    }
 
     def any_shape(shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
         return known[shape.whole or shape](shape, impact, rng)
@@ -394,6 +362,8 @@ def save(
         >>> df.save(outcome, "pot.mp4", size=(1280, 720))
         >>> df.save(outcome.breaks[0], "pieces")
     """
+    from deepfracture.export import format_for
+
     path = Path(path)
     if isinstance(thing, Collision):
         thing, shape = thing.fragments, thing.shape
@@ -405,10 +375,10 @@ def save(
     elif isinstance(thing, Fragments):
         if shape is None:
             raise BadInput(f"{path}: shape must be given with fragments: it knows the coordinates of the file")
-        _writer(path, "fragments", _fragment_writers(shape))(thing, path, **options)
+        format_for(path, Fragments).write(thing, path, shape=shape, **options)
     elif isinstance(thing, Outcome | Recording):
         recording = thing.recording if isinstance(thing, Outcome) else thing
-        _writer(path, "a recording", _recording_writers())(recording, path, **options)
+        format_for(path, Recording).write(recording, path, **options)
     else:
         raise BadInput(f"{path}: an outcome, recording, collision, fragments or scene can be saved, got {type(thing)}")
     return path
@@ -417,45 +387,21 @@ def save(
 def simulate(
     shape: Shape,
     out: PathLike,
+    options: SimulateOptions | None = None,
     *,
-    collisions: int = 60,
     material: str | Material = "plaster",
-    resolution: int = 64,
-    speed: tuple[float, float] = (4.0, 15.0),
-    scene: str = "single",
-    refracture: int = 0,
-    frames: int = 60,
-    repeats: int = 1,
-    workers: int | None = None,
-    executor: str = "local",
-    address: str | None = None,
-    limit: float = 600.0,
-    memory: float | None = None,
-    retry: bool = False,
-    seed: int = 0,
+    **changes: Any,
 ) -> Dataset:
-    """Simulate collisions from all sides: the data that a model learns from. Call again to go on.
+    """Simulate collisions from all sides: the data that a model learns from. Call again to resume.
 
     Worker processes start afresh: a program that calls this does so under `if __name__ == "__main__":`.
 
     Args:
         shape: What is hit.
         out: Folder of the data set, or s3://BUCKET/PREFIX; what it holds already is kept.
-        collisions: Balls to throw; those that break nothing are counted and left out.
+        options: Which collisions, and on what; the default ones if not given.
         material: One of `MATERIALS`, or your own.
-        resolution: Voxels along each axis.
-        speed: Slowest and fastest ball [m/s].
-        scene: single, dual, strength, points or shear.
-        refracture: Generations of fragments that may break again ...
-        frames: ... within this many frames after the hit, at 60 a second.
-        repeats: Times that each collision is simulated, with other weak places in the material.
-        workers: Collisions at once (by default two, or all processors of a cluster).
-        executor: local, or ray: the machines of a cluster.
-        address: Of the Ray cluster (by default the one that this machine belongs to).
-        limit: Seconds after which a collision is given up and counts as failed.
-        memory: Gigabytes beyond which a worker is ended and its collision counts as failed.
-        retry: First drop what failed or is damaged, and simulate it again.
-        seed: The same seed gives the same bytes, however many workers.
+        changes: Fields of `SimulateOptions` by name.
 
     Raises:
         BadInput: A value makes no sense, or the folder was made with other settings.
@@ -463,13 +409,10 @@ def simulate(
     Examples:
         >>> data = df.simulate(statue, "data/statue", collisions=240, speed=(8, 30))
     """
-    from deepfracture.dataset import make_executor, simulate_collisions
+    from deepfracture.dataset import simulate_collisions
 
-    return simulate_collisions(
-        shape, _material(material), Path(out), collisions=collisions, resolution=resolution, seed=seed,
-        speed_range=speed, scene=scene, refracture=refracture, frames=frames, repeats=repeats,
-        executor=make_executor(executor, workers=workers, address=address), limit=limit, memory=memory, retry=retry,
-    )  # fmt: skip
+    options = with_changes(options or SimulateOptions(), changes)
+    return simulate_collisions(shape, _material(material), Path(out), options)
 
 
 def train(dataset: Dataset | PathLike, out: PathLike, options: TrainOptions | None = None, **changes: Any) -> Path:
@@ -559,30 +502,3 @@ def _entry(shape: Shape, point: Floats, direction: Floats) -> tuple[Floats, int]
 
 def _short(vector: Floats) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in vector) + ")"
-
-
-def _writer(path: Path, what: str, writers: Mapping[str, Callable]) -> Callable:
-    if path.suffix.lower() not in writers:
-        known = ", ".join(suffix or "a folder (no suffix)" for suffix in writers)
-        raise BadInput(f"{path}: {what} can be saved as {known}, not as {path.suffix or 'a folder'}")
-    return writers[path.suffix.lower()]
-
-
-def _fragment_writers(shape: Shape) -> dict[str, Callable]:
-    from deepfracture.export import write_fragments
-    from deepfracture.render import exploded
-
-    return {
-        "": lambda fragments, path, **options: write_fragments(fragments, shape, path, **options),
-        ".png": lambda fragments, path, **options: exploded(fragments, path, shape=shape, **options),
-    }
-
-
-def _recording_writers() -> dict[str, Callable]:
-    from deepfracture.export import write_glb, write_sequence, write_usd
-    from deepfracture.render import before_hit_after, write_film
-    from deepfracture.viewer import write_page
-
-    usd = dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), write_usd)
-    others = {".html": write_page, ".mp4": write_film, ".png": before_hit_after, "": write_sequence}
-    return {".glb": write_glb, **usd, **others}

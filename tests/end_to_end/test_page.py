@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepfracture.viewer import write_page
+from deepfracture.export import write_page
 
 tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "recordings.py"))
 browser_tools = runpy.run_path(str(Path(__file__).parents[1] / "tools" / "browser.py"))

@@ -178,6 +178,23 @@ def test_throw_is_what_the_command_line_throws(tmp_path: Path, outcome: Outcome)
     assert (tmp_path / "ours.glb").read_bytes() == (tmp_path / "animation.glb").read_bytes()
 
 
+def test_options_are_given_whole_or_by_name(pot: df.Shape) -> None:
+    options = df.BreakerOptions(resolution=32, max_faces=300)
+    by_name = df.breaker("voronoi", pot, resolution=32, max_faces=300)
+    with pytest.warns(DeprecationWarning, match="budget is deprecated, use max_faces") as caught:
+        deprecated = df.breaker("voronoi", pot, resolution=32, budget=300)
+    assert len(caught) == 1 and caught[0].filename == __file__
+    blow = df.hit(pot, (1, 0, 0.3), impulse=3000, speed=10)
+    whole, *others = (
+        one(pot, blow, np.random.default_rng(0)) for one in (df.breaker("voronoi", pot, options), by_name, deprecated)
+    )
+    for other in others:
+        assert whole is not None and other is not None
+        assert all(np.array_equal(a.mesh.faces, b.mesh.faces) for a, b in zip(whole, other, strict=True))
+    with pytest.raises(df.BadInput, match=r"no option 'resolutoin'.*did you mean 'resolution'"):
+        df.breaker("voronoi", pot, resolutoin=32)
+
+
 def test_any_function_can_be_a_breaker_if_the_material_is_known(pot: df.Shape, breaker: df.Breaker) -> None:
     def mine(shape: df.Shape, impact: df.Impact, rng: np.random.Generator) -> df.Fragments | None:
         return breaker(shape, impact, rng)

@@ -1,6 +1,21 @@
 """Breakers: physics, a network and baselines behind one seam, `(Shape, Impact, rng) -> Fragments | None`."""
 
-from deepfracture.breakers.base import PatternBreaker, PatternSource
-from deepfracture.breakers.choose import AGAIN, BREAKERS, make_breaker, make_source, recall, ways
+from typing import TYPE_CHECKING
 
-__all__ = ["AGAIN", "BREAKERS", "PatternBreaker", "PatternSource", "make_breaker", "make_source", "recall", "ways"]
+from deepfracture.breakers.options import BREAKERS as BREAKERS
+from deepfracture.breakers.options import REFRACTURING as REFRACTURING
+from deepfracture.breakers.options import BreakerOptions as BreakerOptions
+from deepfracture.runtime.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from deepfracture.breakers.base import PatternBreaker as PatternBreaker
+    from deepfracture.breakers.base import PatternSource as PatternSource
+    from deepfracture.breakers.choose import make_breaker as make_breaker
+    from deepfracture.breakers.choose import make_source as make_source
+    from deepfracture.breakers.choose import recall as recall
+    from deepfracture.breakers.choose import ways as ways
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {"base": ("PatternBreaker", "PatternSource"), "choose": ("make_breaker", "make_source", "recall", "ways")},
+)

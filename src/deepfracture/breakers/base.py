@@ -27,8 +27,8 @@ class PatternBreaker:
     material: Material
     roughness: float = 0.0
     """Grain of the crack faces [m]."""
-    budget: int | None = None
-    """Most triangles a fragment, as far as `coarsened` can; None: any number."""
+    max_faces: int | None = None
+    """Most triangles of a fragment, as far as decimation can; None: no limit."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
         area = float(np.linalg.norm(shape.mesh.area_vectors, axis=1).sum())
@@ -40,7 +40,7 @@ class PatternBreaker:
         with stage("cut"):
             roughness = self.roughness / shape.size
             fragments = cut(shape, pattern, density=self.material.density, roughness=roughness)
-        if self.budget is not None:
+        if self.max_faces is not None:
             with stage("coarsen"):
-                fragments = coarsened(fragments, self.budget)
+                fragments = coarsened(fragments, self.max_faces)
         return fragments if len(fragments) > 1 else None  # what the pattern parts may be dust to the mesh

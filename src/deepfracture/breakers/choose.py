@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepfracture.breakers.base import PatternBreaker, PatternSource
+from deepfracture.breakers.options import BREAKERS, BreakerOptions
 from deepfracture.runtime.progress import log
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape, Volume
@@ -19,30 +20,16 @@ if TYPE_CHECKING:
     from deepfracture.learn import Model
     from deepfracture.learn.published.model import FieldModel
 
-BREAKERS = ("learned", "physical", "voronoi", "nearest", "cvd", "random")
-AGAIN = ("learned", "physical", "voronoi")
-"""Breakers that know what becomes of a fragment that is hit again."""
 
-
-def make_breaker(
-    name: str,
-    shape: Shape,
-    material: Material,
-    grid: Grid,
-    *,
-    model: Path | None = None,
-    dataset: Path | None = None,
-    roughness: float = 0.0,
-    budget: int | None = None,
-) -> Breaker:
-    """The breaker called `name` for `shape`; `model` overrides the shipped one. `nearest` and `random` recall the
-    patterns of `dataset`, and `cvd` learns from it how many fragments an impulse gives.
-    `roughness`: grain of the crack faces [m]. `budget`: most triangles a fragment, as far as `carve.coarsened` can.
+def make_breaker(name: str, shape: Shape, material: Material, options: BreakerOptions | None = None) -> Breaker:
+    """The breaker called `name` for `shape`.
 
     Raises `BadInput` when the name is unknown, or when no trained model or data set exists for the shape."""
-    memory = None if dataset is None else recall(shape, dataset)
-    source = make_source(name, shape, material, grid, model=model, memory=memory)
-    return PatternBreaker(source, material, roughness, budget)
+    options = options or BreakerOptions()
+    model = None if options.model is None else Path(options.model)
+    memory = None if options.dataset is None else recall(shape, Path(options.dataset))
+    source = make_source(name, shape, material, Grid(options.resolution), model=model, memory=memory)
+    return PatternBreaker(source, material, options.roughness, options.max_faces)
 
 
 def make_source(

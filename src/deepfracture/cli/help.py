@@ -1,9 +1,13 @@
-"""What the help of each command ends with, and what the program says to a command that it does not know."""
+"""Examples under the help of each command, and near words for mistyped commands and options."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from inspect import signature
+from typing import get_type_hints
 
+from deepfracture.runtime.progress import log
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
 
@@ -43,10 +47,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "deepfracture completion fish > ~/.config/fish/completions/deepfracture.fish",
     ),
 }
-"""Command lines by command; each is one that works."""
+"""Working command lines, by command."""
+RENAMED = {"convert": "copy", "--budget": "--max-faces"}
+"""Deprecated commands and options."""
 FIRST = ("shatter", "simulate", "train")
 """Commands whose examples the general help ends with."""
-MANNERS = "every command also takes --quiet, --verbose and --profile FILE (where the time goes, for pstats or snakeviz)"
+GLOBAL_OPTIONS = "every command also takes --quiet, --verbose and --profile FILE (for pstats or snakeviz)"
 
 
 def asks_for_help(words: Sequence[str]) -> bool:
@@ -54,17 +60,50 @@ def asks_for_help(words: Sequence[str]) -> bool:
 
 
 def closing(words: Sequence[str]) -> str:
-    """What stands under the help that `words` ask for."""
+    """The text under the help that `words` ask for."""
     asked = next((word for word in words if word in EXAMPLES), None)
     lines = EXAMPLES[asked] if asked else [line for name in FIRST for line in EXAMPLES[name][:1]]
     title = "example:" if len(lines) == 1 else "examples:"
-    return "\n".join([MANNERS, "", title, *(f"  {line}" for line in lines)]) + "\n"
+    return "\n".join([GLOBAL_OPTIONS, "", title, *(f"  {line}" for line in lines)]) + "\n"
 
 
-def check_command(words: Sequence[str], commands: Sequence[str]) -> None:
-    """Raises BadInput when the first of `words` is neither an option nor a command."""
-    if not words or words[0].startswith("-") or words[0].replace("_", "-") in commands:
+def check_words(words: Sequence[str], commands: Mapping[str, Callable]) -> None:
+    """Raises BadInput for a command or an option that does not exist, with the near one."""
+    if not words or words[0].startswith("-"):
         return
-    raise BadInput(
-        f"no command is called {words[0]!r}; there are {', '.join(commands)}{did_you_mean(words[0], commands)}"
-    )
+    command = words[0].replace("_", "-")
+    if command not in commands:
+        raise BadInput(
+            f"no command is called {words[0]!r}; there are {', '.join(commands)}{did_you_mean(words[0], commands)}"
+        )
+    known = [*_options(commands[command]), "--help"]
+    for word in words[1:]:
+        name = word.partition("=")[0].replace("_", "-")
+        if name.startswith("--") and name not in known:
+            raise BadInput(f"{command} has no option {name}; see {command} --help{did_you_mean(name, known)}")
+
+
+def with_new_names(words: Sequence[str]) -> list[str]:
+    """Deprecated commands and options replaced, with a warning for each."""
+    found = []
+    for place, word in enumerate(words):
+        name, *value = word.split("=", 1)
+        if name in RENAMED and (place == 0 or name.startswith("--")):
+            log.warning("%s is deprecated, use %s", name, RENAMED[name])
+            name = RENAMED[name]
+        found.append("=".join([name, *value]))
+    return found
+
+
+def _options(command: Callable) -> Iterator[str]:
+    """Options of a command: its parameters, and the fields of those that are dataclasses."""
+    hints = get_type_hints(command)
+    for name, parameter in signature(command).parameters.items():
+        if parameter.kind is parameter.POSITIONAL_ONLY:
+            continue
+        options = fields(hints[name]) if is_dataclass(hints[name]) else [parameter]
+        for option in options:
+            flag = option.name.replace("_", "-")
+            yield f"--{flag}"
+            if isinstance(option.default, bool):
+                yield f"--no-{flag}"

@@ -5,25 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from deepfracture import api
+from deepfracture.dataset.options import SimulateOptions
 from deepfracture.learn.options import TrainOptions
 from deepfracture.runtime.progress import log
 
 
-def simulate(
-    name: str, *, out: Path | None, collisions: int, material: str, resolution: int, speed: tuple[float, float],
-    scene: str, refracture: int, frames: int, repeats: int, workers: int | None, executor: str, address: str | None,
-    limit: float, memory: float | None, retry: bool, seed: int, repair: bool,
-) -> None:  # fmt: skip
-    """Fill the data set `out` with simulated collisions of the shape `name`; goes on where it stopped."""
+def simulate(name: str, *, out: Path | None, material: str, repair: bool, options: SimulateOptions) -> None:
+    """Fill the data set `out` with simulated collisions of the shape `name`; resumes where it stopped."""
     shape = api.load(name, repair=repair)
-    out = out or Path("data") / shape.name
-    dataset = api.simulate(
-        shape, out, collisions=collisions, material=material, resolution=resolution, speed=speed, scene=scene,
-        refracture=refracture, frames=frames, repeats=repeats, workers=workers, executor=executor, address=address,
-        limit=limit, memory=memory, retry=retry, seed=seed,
-    )  # fmt: skip
+    dataset = api.simulate(shape, out or Path("data") / shape.name, options, material=material)
     log.info(
-        "%s: %d patterns from %d collisions (%d broke nothing, %d failed)%s",
+        "%s: %d patterns from %d collisions (%d without fracture, %d failed)%s",
         dataset.path, len(dataset), dataset.tried, dataset.unbroken, dataset.failed,
         f", largest impulse {dataset.max_impulse:.0f} N s" if len(dataset) else "",
     )  # fmt: skip

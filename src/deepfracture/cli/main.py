@@ -5,90 +5,83 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import Positional
 
-from deepfracture.cli.help import asks_for_help, check_command, closing
-from deepfracture.cli.manner import Manner, profiled, set_logging, split_manner
+from deepfracture.breakers.options import BREAKERS, BreakerOptions
+from deepfracture.cli.global_options import GlobalOptions, profiled, set_logging, split_global_options
+from deepfracture.cli.help import asks_for_help, check_words, closing, with_new_names
+from deepfracture.cli.options import (
+    AXES,
+    BENCHMARKS,
+    FORMATS,
+    Breaking,
+    Count,
+    Engine,
+    File,
+    Folder,
+    MaterialName,
+    ShapeName,
+    Simulating,
+    Throw,
+    ThrowOptions,
+    Training,
+    one_of,
+    option,
+)
+from deepfracture.dataset.options import SimulateOptions
 from deepfracture.learn.options import TrainOptions
 from deepfracture.runtime.files import explain_write_error
 from deepfracture.runtime.progress import log
 from deepfracture.runtime.suggest import did_you_mean
-from deepfracture.types import BadInput, NoSolution
+from deepfracture.types import RESOLUTIONS, BadInput, NoSolution
 
 NAME = "deepfracture"
+DESCRIPTION = "Breaks things beautifully: brittle fracture, simulated and learned, inside a rigid-body simulation."
 SHELLS = ("bash", "zsh", "fish", "tcsh")
-ShapeName = Annotated[Positional[str], tyro.conf.arg(metavar="SHAPE", help="A mesh file, or a built-in shape.")]
-RENAMED = {"convert": "copy"}
-"""Former names of commands, accepted for a release."""
 app = tyro.extras.SubcommandApp()
-
-
-@dataclass(frozen=True)
-class Throw:
-    """How the ball is thrown."""
-
-    speed: float = 9.0
-    """Speed at which the ball is launched, 4 m away [m/s]; a slow one falls on its way (the shape is 2 m long)."""
-    radius: float = 0.2
-    """Radius of the steel ball [m]."""
-    heading: float | None = None
-    """Direction that the ball comes from, degrees around the vertical; drawn from the seed if not given."""
-    up: str = "z"
-    """Axis of the file that points up: x, y or z."""
 
 
 @app.command
 def shatter(
     shape: ShapeName = "pot",
     /,
-    breaker: str = "learned",
-    out: Path = Path("shattered"),
-    material: str = "plaster",
-    throw: tyro.conf.OmitArgPrefixes[Throw] = Throw(),
-    scene: Path | None = None,
-    model: Path | None = None,
-    dataset: Path | None = None,
-    resolution: int = 64,
-    roughness: float = 0.0,
-    budget: int | None = None,
-    engine: str = "rapier",
-    seed: int | None = None,
+    breaker: Annotated[str, option(one_of(*BREAKERS))] = "learned",
+    out: Annotated[Path, option("FOLDER")] = Path("shattered"),
+    material: MaterialName = "plaster",
+    scene: File = None,
+    engine: Engine = "rapier",
+    seed: Count = None,
     repair: bool = False,
     film: bool = True,
-    formats: tuple[str, ...] | None = None,
+    formats: Annotated[tuple[str, ...] | None, option(f"{one_of(*FORMATS)} ...")] = None,
+    throw: Throw = ThrowOptions(),
+    breaking: Breaking = BreakerOptions(),
 ) -> None:
     """Throw a ball at a shape and break it: animation, fragments and a report.
 
     Args:
         shape: a mesh file, or a built-in shape.
-        breaker: learned, physical, voronoi, nearest, cvd or random.
+        breaker: how it breaks.
         out: folder for the page, the .glb, the fragments, the film and report.json.
-        material: a whole-material preset.
-        throw: how the ball is thrown.
+        material: material preset.
         scene: replay this scene file instead of throwing a ball.
-        model: trained weights instead of the shipped ones.
-        dataset: simulated patterns that --breaker nearest and random recall.
-        resolution: voxels along each axis for physical and voronoi.
-        roughness: grain of the crack faces [m], of a body two metres long.
-        budget: most triangles a fragment, taken from the cracks as far as their rims allow.
-        engine: rapier or bullet.
+        engine: rigid-body engine.
         seed: the same seed gives the same bytes (default: the scene's, or 0).
-        repair: mend a mesh that is not closed.
-        film: also render an .mp4 where the machine can.
-        formats: what to write: page, glb, picture, film, fragments (these by default), usd, usda, usdz, obj-sequence,
-            ply-sequence.
+        repair: repair an open mesh.
+        film: also render an .mp4 if ffmpeg is installed.
+        formats: what to write (default: page, glb, picture, film and fragments).
+        throw: how the ball is thrown.
+        breaking: what the breaker is made from, and how finely it breaks.
     """
     from deepfracture.cli.shatter import shatter as run
 
     run(
-        shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, model=model, dataset=dataset,
-        resolution=resolution, roughness=roughness, budget=budget, engine=engine, seed=seed, repair=repair, film=film,
-        formats=formats,
+        shape, breaker=breaker, out=out, material=material, throw=throw, scene=scene, options=breaking, engine=engine,
+        seed=seed, repair=repair, film=film, formats=formats,
     )  # fmt: skip
 
 
@@ -96,23 +89,23 @@ def shatter(
 def play(
     shape: ShapeName = "pot",
     /,
-    model: Path | None = None,
-    up: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    upload_limit: float = 64.0,
-    most_tabs: int = 8,
+    model: File = None,
+    up: Annotated[str | None, option(one_of(*AXES))] = None,
+    host: Annotated[str, option("ADDRESS")] = "127.0.0.1",
+    port: Annotated[int, option("PORT")] = 8080,
+    upload_limit: Annotated[float, option("MEGABYTES")] = 64.0,
+    most_tabs: Annotated[int, option("N")] = 8,
 ) -> None:
-    """Shoot at things in the browser: a page on this machine.
+    """Break shapes in the browser: serves a page on this machine.
 
     Args:
-        shape: a mesh file or a built-in shape to begin with.
+        shape: a mesh file or a built-in shape to start with.
         model: trained weights for it instead of the shipped ones.
-        up: axis of the file that points up: x, y or z (default: y for .obj and .glb, else z).
-        host: address that the page listens on; by default this machine alone can reach it.
-        port: where it listens; the next free one if it is taken.
-        upload_limit: largest mesh that can be dropped onto the page [MB].
-        most_tabs: tabs that play at once, each a world of its own.
+        up: axis of the file that points up (default: y for .obj and .glb, else z).
+        host: address that the page listens on; by default only this machine can reach it.
+        port: port to listen on; the next free one if it is taken.
+        upload_limit: largest mesh that can be dropped onto the page.
+        most_tabs: browser tabs that can play at once, each in a world of its own.
     """
     from deepfracture.cli.play import play as run
 
@@ -123,54 +116,23 @@ def play(
 def simulate(
     shape: ShapeName,
     /,
-    out: Path | None = None,
-    collisions: int = 60,
-    material: str = "plaster",
-    resolution: int = 64,
-    speed: tuple[float, float] = (4.0, 15.0),
-    scene: str = "single",
-    refracture: int = 0,
-    frames: int = 60,
-    repeats: int = 1,
-    workers: int | None = None,
-    executor: str = "local",
-    address: str | None = None,
-    limit: float = 600.0,
-    memory: float | None = None,
-    retry: bool = False,
-    seed: int = 0,
+    out: Folder = None,
+    material: MaterialName = "plaster",
     repair: bool = False,
+    simulation: Simulating = SimulateOptions(),
 ) -> None:
-    """Simulate collisions from all sides: the data that a model learns from. Run again to go on.
+    """Simulate collisions from all sides: the data that a model learns from. Rerun to resume.
 
     Args:
         shape: a mesh file, or a built-in shape.
         out: folder of the data set, or s3://BUCKET/PREFIX (default: data/SHAPE).
-        collisions: balls to throw; those that break nothing are counted and left out.
-        material: a whole-material preset.
-        resolution: voxels along each axis.
-        speed: slowest and fastest ball [m/s].
-        scene: single, dual (two balls), strength (one line, many speeds), points (one direction, many points) or
-            shear (beside the edge of a block).
-        refracture: generations of fragments that may break again when they meet each other or the ball ...
-        frames: ... within this many frames after the hit, at 60 a second.
-        repeats: times that each collision is simulated, with other weak places in the material (for evaluate).
-        workers: collisions at once (default: two, or all processors of a cluster).
-        executor: local, or ray: the machines of a cluster.
-        address: of the Ray cluster (default: the one that this machine belongs to).
-        limit: seconds after which a collision is given up and counts as failed.
-        memory: gigabytes beyond which a worker is ended and its collision counts as failed.
-        retry: first drop what failed or is damaged, and simulate it again.
-        seed: the same seed gives the same bytes, however many workers.
-        repair: mend a mesh that is not closed.
+        material: material preset.
+        repair: repair an open mesh.
+        simulation: which collisions, and on what.
     """
     from deepfracture.cli.learning import simulate as run
 
-    run(
-        shape, out=out, collisions=collisions, material=material, resolution=resolution, speed=speed,
-        scene=scene, refracture=refracture, frames=frames, repeats=repeats, workers=workers, executor=executor,
-        address=address, limit=limit, memory=memory, retry=retry, seed=seed, repair=repair,
-    )  # fmt: skip
+    run(shape, out=out, material=material, repair=repair, options=simulation)
 
 
 @app.command
@@ -194,8 +156,8 @@ def copy(
 def train(
     dataset: Annotated[Positional[Path], tyro.conf.arg(metavar="DATASET")],
     /,
-    out: Path,
-    training: tyro.conf.OmitArgPrefixes[TrainOptions] = TrainOptions(),
+    out: Annotated[Path, option("FOLDER")],
+    training: Training = TrainOptions(),
 ) -> None:
     """Train the generative model on simulated collisions. Rerun to resume.
 
@@ -213,22 +175,22 @@ def train(
 def evaluate(
     held: Annotated[Positional[Path], tyro.conf.arg(metavar="HELD")],
     /,
-    out: Path,
-    dataset: Path | None = None,
-    model: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
-    breakers: tuple[str, ...] = ("nearest", "random", "cvd", "voronoi"),
+    out: Annotated[Path, option("FOLDER")],
+    dataset: Folder = None,
+    model: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="[NAME=]FILE")] = (),
+    breakers: Annotated[tuple[str, ...], option(f"{one_of(*BREAKERS)} ...")] = ("nearest", "random", "cvd", "voronoi"),
     ablation: bool = False,
-    draws: int = 3,
-    seed: int = 0,
+    draws: Annotated[int, option("N")] = 3,
+    seed: Annotated[int, option("N")] = 0,
 ) -> None:
-    """Measure breakers and models on collisions that they have never seen, in units of chaos itself.
+    """Measure breakers and models on held-out collisions, normalised by simulation-to-simulation variability.
 
     Args:
         held: data set of held-out collisions, made by `deepfracture simulate --repeats 4` with a seed of its own.
         out: folder for evaluation.md, evaluation.json and plots.
         dataset: training data, which nearest and random recall and from which cvd learns the number of fragments.
-        model: trained weights, or NAME=FILE; may be given several times.
-        breakers: any of learned (the shipped model), physical, voronoi, nearest, cvd and random.
+        model: trained weights.
+        breakers: what to measure besides the models; learned is the shipped model.
         ablation: measure the first model also without one or another of its parts.
         draws: random codes for each collision.
         seed: the same seed gives the same numbers.
@@ -240,7 +202,7 @@ def evaluate(
 
 @app.command
 def info(path: Annotated[Positional[str], tyro.conf.arg(metavar="FILE")], /) -> None:
-    """Look at any file that the program reads or writes: mesh, scene, data set, model, report.
+    """Describe any file that the program reads or writes: mesh, scene, data set, model, report.
 
     Args:
         path: the file or folder, or the name of a built-in shape.
@@ -252,21 +214,21 @@ def info(path: Annotated[Positional[str], tyro.conf.arg(metavar="FILE")], /) -> 
 
 @app.command
 def bench(
-    room: Annotated[Positional[str], tyro.conf.arg(metavar="ROOM")] = "all",
+    room: Annotated[Positional[str], tyro.conf.arg(metavar=one_of(*BENCHMARKS))] = "all",
     /,
-    shape: str = "pot",
-    resolution: int = 128,
-    model: Path | None = None,
-    json: Path | None = None,
-    record: Path | None = None,
+    shape: Annotated[str, option("SHAPE")] = "pot",
+    resolution: Annotated[int, option(one_of(*RESOLUTIONS))] = 128,
+    model: File = None,
+    json: File = None,
+    record: Folder = None,
 ) -> None:
-    """Measure what each stage takes on this machine: seconds in the median of warm runs, and memory.
+    """Measure each stage on this machine: median seconds of warm runs, and memory.
 
     Args:
-        room: fracture, carve, learn, world or all.
+        room: what to measure.
         shape: a mesh file, or a built-in shape.
         resolution: voxels along each axis.
-        model: a trained model for predictions, in place of the shipped one of the shape.
+        model: trained weights for predictions, instead of the shipped ones of the shape.
         json: also write the rows to this file.
         record: folder that keeps them with the machine and the date, and compares with the last ones there.
     """
@@ -279,33 +241,33 @@ def bench(
 def soak(
     shapes: Annotated[Positional[tuple[str, ...]], tyro.conf.arg(metavar="[SHAPE ...]")] = (),
     /,
-    hits: int = 200,
-    breakers: tuple[str, ...] = (),
-    seed: int = 0,
-    out: Path | None = None,
-    workers: int = 1,
-    limit: float = 120.0,
-    resolution: int | None = None,
-    engine: str = "rapier",
-    model: Path | None = None,
-    data: Path | None = None,
+    hits: Annotated[int, option("N")] = 200,
+    breakers: Annotated[tuple[str, ...], option(f"{one_of(*BREAKERS)} ...")] = (),
+    seed: Annotated[int, option("N")] = 0,
+    out: Folder = None,
+    workers: Annotated[int, option("N")] = 1,
+    limit: Annotated[float, option("SECONDS")] = 120.0,
+    resolution: Annotated[int | None, option(one_of(*RESOLUTIONS))] = None,
+    engine: Engine = "rapier",
+    model: File = None,
+    data: Folder = None,
     repair: bool = False,
 ) -> None:
-    """Hit shapes at random, thousands of times, and check every fragment and pose. Exit status 0 only if all is well.
+    """Hit shapes at random, thousands of times, and check every fragment and pose. Exit status 0 only if all pass.
 
     Args:
         shapes: mesh files or built-in shapes (default: every built-in one).
         hits: how many, over all shapes and breakers.
-        breakers: any of learned, physical, voronoi, nearest, cvd and random (default: those that are ready).
+        breakers: which breakers (default: those that are ready to use).
         seed: of the first hit; each next one has the next number, so any of them can be repeated alone.
-        out: folder for hits.jsonl and summary.md; run again to go on. Default: nothing is kept.
+        out: folder for hits.jsonl and summary.md; rerun to resume (default: nothing is kept).
         workers: processes.
-        limit: longest time for one hit [s].
+        limit: longest time for one hit.
         resolution: voxels along each axis (default: 64, and 32 for physical).
-        engine: rapier or bullet.
-        model: trained weights of a shape of yours, for learned.
+        engine: rigid-body engine.
+        model: trained weights for your own shape, for learned.
         data: folder that holds a data set for each shape, by its name, for nearest and random.
-        repair: mend meshes that are not closed.
+        repair: repair open meshes.
     """
     from deepfracture.cli.soak import soak as run
 
@@ -317,7 +279,7 @@ def soak(
 
 
 @app.command
-def validate(json: Path | None = None, plots: Path | None = None, quick: bool = False) -> None:
+def validate(json: File = None, plots: Folder = None, quick: bool = False) -> None:
     """Check the physics against closed forms. Exit status 0 only if every row is within its limit.
 
     Args:
@@ -333,7 +295,7 @@ def validate(json: Path | None = None, plots: Path | None = None, quick: bool = 
 
 @app.command
 def warm() -> None:
-    """Compile and cache the kernels, so that later commands start at once."""
+    """Compile and cache the kernels, so that later commands start instantly."""
     from deepfracture.cli.warm import warm as run
 
     run()
@@ -341,7 +303,7 @@ def warm() -> None:
 
 @app.command
 def doctor() -> None:
-    """Say which optional parts work on this machine, and what to type to install those that are missing."""
+    """Check optional dependencies: what works on this machine, and how to install what is missing."""
     from deepfracture.cli.doctor import doctor as run
 
     run()
@@ -351,7 +313,7 @@ def doctor() -> None:
 def export_onnx(
     model: Annotated[Positional[str], tyro.conf.arg(metavar="MODEL")],
     /,
-    out: Path,
+    out: Annotated[Path, option("FILE")],
 ) -> None:
     """Write a trained model as an ONNX graph, for game engines: from an impulse to the label of every voxel.
 
@@ -365,11 +327,11 @@ def export_onnx(
 
 
 @app.command
-def completion(shell: Annotated[Positional[str], tyro.conf.arg(metavar="SHELL")], /) -> None:
-    """Write what makes a shell complete commands and options, to be sourced or saved.
+def completion(shell: Annotated[Positional[str], tyro.conf.arg(metavar=one_of(*SHELLS))], /) -> None:
+    """Write a completion script for a shell, to be sourced or saved.
 
     Args:
-        shell: bash, zsh, fish or tcsh.
+        shell: whose completion script.
     """
     if shell not in SHELLS:
         raise BadInput(f"shell must be one of {', '.join(SHELLS)}, got {shell!r}{did_you_mean(shell, SHELLS)}")
@@ -378,22 +340,20 @@ def completion(shell: Annotated[Positional[str], tyro.conf.arg(metavar="SHELL")]
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run one command; `args` are the words after the program's name, those of the process by default."""
-    words, manner = list(sys.argv[1:] if args is None else args), Manner()
+    words, chosen = list(sys.argv[1:] if args is None else args), GlobalOptions()
     try:
-        words, manner = split_manner(words)
-        set_logging(manner)
-        if words and words[0] in RENAMED:
-            log.warning("the command %s is deprecated; use %s", words[0], RENAMED[words[0]])
-            words[0] = RENAMED[words[0]]
-        check_command(words, commands())
-        with profiled(manner.profile):
-            app.cli(prog=NAME, description="Breaks things beautifully.", args=words)
+        words, chosen = split_global_options(words)
+        set_logging(chosen)
+        words = with_new_names(words)
+        check_words(words, commands())
+        with profiled(chosen.profile):
+            app.cli(prog=NAME, description=DESCRIPTION, args=words)
     except SystemExit as done:
         if not done.code and asks_for_help(words):
             sys.stdout.write(closing(words))
         raise
     except (BadInput, NoSolution) as problem:
-        if manner.verbose:
+        if chosen.verbose:
             log.debug("where it happened", exc_info=problem)
         sys.stderr.write(f"{NAME}: {problem}\n")
         sys.exit(problem.status)
@@ -404,10 +364,10 @@ def main(args: Sequence[str] | None = None) -> None:
         sys.stderr.write(f"{NAME}: {line}\n")
         sys.exit(1)
     except KeyboardInterrupt:
-        sys.stderr.write(f"{NAME}: interrupted; run the same command again to go on\n")
+        sys.stderr.write(f"{NAME}: interrupted; rerun the same command to resume\n")
         sys.exit(130)
 
 
-def commands() -> tuple[str, ...]:
-    """Every command, as it is typed."""
-    return tuple(name.replace("_", "-") for name in app._subcommands)
+def commands() -> dict[str, Any]:
+    """The function of every command, by the name that is typed."""
+    return {name.replace("_", "-"): command.target for name, command in app._subcommands.items()}

@@ -4,73 +4,71 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.api import scene_breaker, throw_scene
-from deepfracture.cli.formats import check_formats, write_formats
+from deepfracture import api
+from deepfracture.breakers.options import BreakerOptions
+from deepfracture.cli.options import ThrowOptions
+from deepfracture.export import check_formats, write_formats
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
-from deepfracture.geometry import faults, load_shape
+from deepfracture.geometry import faults
 from deepfracture.runtime.files import atomic_contents
 from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import Stage, collect_stages, log, stage
 from deepfracture.types import Material, Shape
 from deepfracture.world import Outcome, Scene, load_scene, save_scene
-from deepfracture.world import simulate as run_world
-
-if TYPE_CHECKING:
-    from deepfracture.cli.main import Throw
 
 REPORT = "report.json"
+TO_OPEN = ("animation.html", "animation.glb", "animation.usdc", "animation.mp4", "picture.png")
+"""What a person opens first, of what was written."""
 
 
 def shatter(
-    name: str, *, breaker: str, out: Path, material: str, throw: Throw, scene: Path | None, model: Path | None,
-    dataset: Path | None, resolution: int, roughness: float, budget: int | None = None, engine: str,
-    seed: int | None, repair: bool, film: bool,
-    formats: tuple[str, ...] | None = None,
+    name: str, *, out: Path, scene: Path | None = None, throw: ThrowOptions, material: str = "plaster",
+    engine: str = "rapier", seed: int | None = None, repair: bool = False, breaker: str = "learned",
+    options: BreakerOptions, film: bool = True, formats: tuple[str, ...] | None = None,
 ) -> None:  # fmt: skip
     """Break the shape `name` (or replay `scene`) and write `formats`, or the usual ones, into the folder `out`.
 
-    The files appear there together, the report last. BadInput if another process is at that folder."""
+    The files appear there together, the report last. BadInput if another process writes to that folder."""
     check_formats(formats or ())
     with exclusive(out), collect_stages() as stages:
         with stage("load"):
             if scene is None:
-                shape = load_shape(name, repair=repair)
-                played = throw_scene(
-                    shape, name=name, repair=repair, **asdict(throw), material=material, engine=engine, seed=seed or 0
-                )
-                shapes = [shape]
+                shapes = [api.load(name, repair=repair)]
+                played = api.throw_scene(
+                    shapes[0], name=name, repair=repair, **asdict(throw), material=material, engine=engine,
+                    seed=seed or 0,
+                )  # fmt: skip
             else:
                 played = load_scene(scene)
                 played = played if seed is None else replace(played, seed=seed)
-                shapes = [load_shape(placed.shape, repair=repair or placed.repair) for placed in played.shapes]
+                shapes = [api.load(placed.shape, repair=repair or placed.repair) for placed in played.shapes]
         with stage("load breakers"):
             chosen = played.breaker or breaker
             materials = {placed.material: preset(placed.material) for placed in played.shapes}
-            seam = scene_breaker(
-                chosen, played, shapes, materials,
-                model=model, dataset=dataset, resolution=resolution, roughness=roughness,
-                budget=budget,
-            )  # fmt: skip
+            made = api.scene_breaker(chosen, played, shapes, materials, options)
         with stage("world, with the break"):
-            rng = np.random.default_rng(played.seed)
-            outcome = run_world(played, shapes, seam, rng, materials=materials)
-        made_of = {shape: materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
+            outcome = api.run(played, made, shapes=shapes, materials=materials)
         with atomic_contents(out, last=REPORT) as folder:
-            files = write_formats(outcome, played, folder, formats, film=film)
+            breaks = [(c.fragments, c.shape) for c in outcome.breaks if c.fragments is not None]
+            files = write_formats(
+                outcome.recording, breaks, folder, formats, film=film,
+                gravity=played.gravity, contact_material=played.contact_material,
+            )  # fmt: skip
             with stage("write scene.toml"):
                 save_scene(_portable(played, out), folder / "scene.toml")
             files.append("scene.toml")
+            made_of = {shape: materials[placed.material] for placed, shape in zip(played.shapes, shapes, strict=True)}
             report = _report(outcome, played, made_of, chosen, stages, files)
             (folder / REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    log.info("%s", _summary(report, outcome))
     log.info("%s", "  ".join(str(out / file) for file in [*files, REPORT]))
+    log.info("%s", _summary(report, out))
 
 
 def _portable(scene: Scene, out: Path) -> Scene:
@@ -82,14 +80,13 @@ def _portable(scene: Scene, out: Path) -> Scene:
 
 
 def _report(
-    outcome: Outcome, scene: Scene, made_of: dict[Shape, Material], breaker: str, stages: list[Stage], files: list[str]
-) -> dict:
-    """What report.json holds; of several collisions the strongest that broke something, or the strongest.
-
-    made_of: the material of each shape."""
+    outcome: Outcome, scene: Scene, made_of: Mapping[Shape, Material], breaker: str, stages: Sequence[Stage],
+    files: list[str],
+) -> dict:  # fmt: skip
+    """What report.json holds; of several collisions the strongest that broke something, or the strongest."""
     first = [collision for collision in outcome.collisions if collision.generation == 0]
-    asked = [collision for collision in first if collision.fragments is not None] or first
-    main = max(asked, key=lambda collision: collision.impact.magnitude[0], default=None)
+    candidates = [collision for collision in first if collision.fragments is not None] or first
+    main = max(candidates, key=lambda collision: collision.impact.magnitude[0], default=None)
     report: dict = {
         "shape": ", ".join(placed.shape for placed in scene.shapes),
         "breaker": breaker,
@@ -121,15 +118,21 @@ def _report(
     return report
 
 
-def _summary(report: dict, outcome: Outcome) -> str:
+def _summary(report: dict, out: Path) -> str:
+    """In plain words what happened, and what to open."""
+    to_open = out / next((file for file in TO_OPEN if file in report["files"]), "")
     if report["impulse"] is None:
-        return f"{report['shape']}: nothing touched it"
-    hit = f"impulse {report['impulse']:.0f} N s, sigma_1 {report['sigma_1']:.3g} Pa"
-    if not report["broke"]:
-        return (
-            f"{report['shape']}: {hit}: it did not break ({report['material']}, strength {report['strength']:.3g} Pa)"
-        )
+        return f"{report['shape']}: nothing touched it. Open {to_open}"
+    impulse, unit = report["impulse"], "N s"
+    if impulse >= 1000:
+        impulse, unit = impulse / 1000, "kN s"
+    what = f"broke into {len(report['fragments'])} pieces" if report["broke"] else "did not break"
     return (
-        f"{report['shape']}: {hit}: {len(report['fragments'])} fragments, volume kept to "
-        f"{report['volume_error']:.1e}, {outcome.recording.duration:.1f} s of animation"
+        f"{report['shape']} {what} (hit by {impulse:.2g} {unit} at {_mega(report['sigma_1'])}; "
+        f"{report['material']} breaks at {_mega(report['strength'])}). Open {to_open}"
     )
+
+
+def _mega(stress: float) -> str:
+    """A stress [Pa] in MPa, to two digits or the whole number."""
+    return f"{stress / 1e6:.0f} MPa" if stress >= 1e7 else f"{stress / 1e6:.2g} MPa"

@@ -5,15 +5,15 @@ from __future__ import annotations
 import logging
 import time
 
+from deepfracture.breakers.options import BreakerOptions
+from deepfracture.cli.options import ThrowOptions
+from deepfracture.cli.shatter import shatter
 from deepfracture.runtime.files import scratch_folder
 from deepfracture.runtime.progress import log
 
 
 def warm() -> None:
     """Compile and cache all kernels by breaking small things in a temporary folder; a second call is quick."""
-    from deepfracture.cli.main import Throw
-    from deepfracture.cli.shatter import shatter
-
     log.info("compiling the kernels, once a machine, two to five minutes ...")
     start, level = time.perf_counter(), log.level
     log.setLevel(logging.WARNING)
@@ -21,9 +21,8 @@ def warm() -> None:
         for name, breaker in (("pot", "learned"), ("bar", "physical"), ("bar", "voronoi")):
             with scratch_folder() as folder:
                 shatter(
-                    name, breaker=breaker, out=folder, material="plaster", throw=Throw(speed=16.0, heading=0.0),
-                    scene=None, model=None, dataset=None, resolution=32, roughness=0.0, engine="rapier", seed=0,
-                    repair=False, film=True,
+                    name, breaker=breaker, out=folder, throw=ThrowOptions(speed=16.0, heading=0.0), seed=0,
+                    options=BreakerOptions(resolution=32),
                 )  # fmt: skip
     finally:
         log.setLevel(level)

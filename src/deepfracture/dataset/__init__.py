@@ -5,6 +5,7 @@ from deepfracture.dataset.dataset import Dataset, open_dataset, verify_dataset
 from deepfracture.dataset.entries import Sample, recorded, write_sample, write_unbroken
 from deepfracture.dataset.executors import EXECUTORS, Executor, Local, RayCluster, make_executor
 from deepfracture.dataset.generate import simulate_collisions
+from deepfracture.dataset.options import SimulateOptions
 from deepfracture.dataset.settings import DatasetSettings, create_dataset
 from deepfracture.dataset.watchdog import CollisionResult, Simulator
 
@@ -17,6 +18,7 @@ __all__ = [
     "Local",
     "RayCluster",
     "Sample",
+    "SimulateOptions",
     "Simulator",
     "copy_dataset",
     "create_dataset",

@@ -13,7 +13,8 @@ import numpy as np
 from deepfracture.dataset.arrays import CAPACITY
 from deepfracture.dataset.dataset import Dataset, discard_incomplete, open_dataset
 from deepfracture.dataset.entries import recorded
-from deepfracture.dataset.executors import Executor, Local
+from deepfracture.dataset.executors import Executor, make_executor
+from deepfracture.dataset.options import SimulateOptions
 from deepfracture.dataset.settings import DatasetSettings, create_dataset
 from deepfracture.dataset.storage import Folder
 from deepfracture.dataset.watchdog import CollisionResult, Job, Simulator
@@ -21,48 +22,28 @@ from deepfracture.runtime.progress import log, track
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Grid, Material, Shape
 
-TIME_LIMIT = 600.0
-"""Default longest time for a collision [s]."""
-
 
 def simulate_collisions(
     shape: Shape,
     material: Material,
     out: Path | str,
+    options: SimulateOptions,
     *,
-    collisions: int,
-    resolution: int,
-    seed: int,
-    speed_range: tuple[float, float],
-    scene: str = "single",
-    refracture: int = 0,
-    frames: int = 60,
-    repeats: int = 1,
-    executor: Executor = Local(2),  # noqa: B008  (frozen)
-    limit: float = TIME_LIMIT,
-    memory: float | None = None,
-    retry: bool = False,
+    executor: Executor | None = None,
     make_simulator: Callable[[DatasetSettings], Simulator] | None = None,
 ) -> Dataset:
-    """Simulate collisions 0 .. `collisions` - 1 that the data set `out` does not hold yet.
+    """Simulate the collisions that `options` asks for and the data set `out` does not hold yet.
 
-    Collision k depends on (`seed`, k) alone: the samples are the same, byte for byte, for any number of workers and
+    Collision k depends on (seed, k) alone: the samples are the same, byte for byte, for any number of workers and
     machines, and after any interruption.
 
     Args:
         out: Folder, or s3://BUCKET/PREFIX.
-        collisions: Number of collisions; those without fracture, or that the solver cannot handle, are recorded
-            without a pattern.
-        speed_range: Slowest and fastest ball [m/s].
-        scene: Kind of scene, one of `world.KINDS`.
-        refracture: Generations of fragments that may break again ...
-        frames: ... within this many frames after the hit, at 60 a second.
-        repeats: Simulations of each collision: the same ball and impact, another realisation of the material's
-            strength. The first repeats are the collisions of a data set without repeats.
-        executor: Where the entries are simulated.
-        limit: Longest time for a collision, and for the preparation of a worker [s]; beyond it an entry fails.
-        memory: Largest memory of a worker [GB] (None: unlimited); beyond it an entry fails.
-        retry: Simulate failed and damaged entries again.
+        options: Collisions without fracture, or that the solver cannot handle, are recorded without a pattern.
+            `repeats` simulates the same ball and impact with another realisation of the material's strength; the
+            first repeats are the collisions of a data set without repeats. `limit` and `memory` hold for the
+            preparation of a worker too.
+        executor: Where the entries are simulated, instead of the one that `options` names.
         make_simulator: Makes the simulator of the settings, once in every worker; by default
             `physical_simulator`.
 
@@ -70,33 +51,22 @@ def simulate_collisions(
         BadInput: A value makes no sense, or `out` was made with other settings or cannot be written.
         NoSolution: The shape cannot be prepared within the limits.
     """
-    from deepfracture.world import KINDS
-
-    if collisions < 1:
-        raise BadInput(f"collisions must be at least 1, got {collisions}")
-    slow, fast = speed_range
-    if not 0 < slow <= fast:
-        raise BadInput(f"speed_range must be positive and ascending, got {speed_range}")
-    if scene not in KINDS:
-        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}{did_you_mean(scene, KINDS)}")
-    if refracture < 0 or frames < 1:
-        raise BadInput(f"refracture must be 0 or more and frames at least 1, got {refracture} and {frames}")
-    if repeats < 1:
-        raise BadInput(f"repeats must be at least 1, got {repeats}")
-    if collisions * repeats > CAPACITY:
-        raise BadInput(f"a data set holds up to {CAPACITY} entries, got {collisions} collisions, {repeats} times each")
-    _check_limits(limit, memory)
-    speeds = (float(slow), float(fast))
-    # Without re-fracture the frames after the hit do not matter and are no part of the settings.
-    again = (refracture, frames if refracture else 0, repeats)
-    settings = DatasetSettings(shape, material, Grid(resolution).resolution, seed, speeds, scene, *again)
+    _check(options)
+    if executor is None:
+        executor = make_executor(options.executor, workers=options.workers, address=options.address)
+    settings = DatasetSettings(
+        shape, material, Grid(options.resolution).resolution, options.seed,
+        (float(options.speed[0]), float(options.speed[1])), options.scene, options.refracture,
+        options.frames if options.refracture else 0,  # without refracture nothing happens after the hit
+        options.repeats,
+    )  # fmt: skip
     storage = create_dataset(out, settings)
-    if retry and (discarded := discard_incomplete(storage)):
+    if options.retry and (discarded := discard_incomplete(storage)):
         log.info("%s: %d failed or damaged entries are simulated again", storage.location, discarded)
-    missing = sorted(set(range(collisions * repeats)) - recorded(storage))
+    missing = sorted(set(range(options.collisions * options.repeats)) - recorded(storage))
     if missing:
         location = str(storage.root.resolve()) if isinstance(storage, Folder) else storage.location
-        limits = limit, math.inf if memory is None else memory
+        limits = options.limit, math.inf if options.memory is None else options.memory
         job = Job(uuid.uuid4().hex, location, settings, make_simulator or physical_simulator, *limits)
         for _ in track(executor.run(job, missing), name="collisions", total=len(missing)):
             pass
@@ -107,9 +77,28 @@ def simulate_collisions(
     return dataset
 
 
-def _check_limits(limit: float, memory: float | None) -> None:
-    if not limit > 0:
-        raise BadInput(f"limit must be positive, got {limit}")
+def _check(options: SimulateOptions) -> None:
+    """Raise BadInput for a value that makes no sense."""
+    from deepfracture.world import KINDS
+
+    collisions, repeats, scene, memory = options.collisions, options.repeats, options.scene, options.memory
+    if collisions < 1:
+        raise BadInput(f"collisions must be at least 1, got {collisions}")
+    slow, fast = options.speed
+    if not 0 < slow <= fast:
+        raise BadInput(f"speed must be positive and ascending, got {options.speed}")
+    if scene not in KINDS:
+        raise BadInput(f"scene must be one of {', '.join(KINDS)}, got {scene!r}{did_you_mean(scene, KINDS)}")
+    if options.refracture < 0 or options.frames < 1:
+        raise BadInput(
+            f"refracture must be 0 or more and frames at least 1, got {options.refracture} and {options.frames}"
+        )
+    if repeats < 1:
+        raise BadInput(f"repeats must be at least 1, got {repeats}")
+    if collisions * repeats > CAPACITY:
+        raise BadInput(f"a data set holds up to {CAPACITY} entries, got {collisions} collisions, {repeats} times each")
+    if not options.limit > 0:
+        raise BadInput(f"limit must be positive, got {options.limit}")
     if memory is not None and not 0 < memory < math.inf:
         raise BadInput(f"memory must be positive, got {memory}")
     if memory is not None and not Path("/proc/self/statm").exists():

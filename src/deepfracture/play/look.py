@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deepfracture.export.viser_scene import add_surface
 from deepfracture.recording.motion import KEY_TOL
 from deepfracture.recording.surface import COLOURS, OUTER_CREASE, surfaces
 from deepfracture.types import Floats32, Ints, Mesh, Shape
-from deepfracture.viewer import add_surface
 from deepfracture.world import Pose
 
 if TYPE_CHECKING:

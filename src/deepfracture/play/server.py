@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from deepfracture.export.viser_scene import add_floor
 from deepfracture.play.guard import calm, forbid_sharing, is_loopback, limit_messages, stranger, turn_away
 from deepfracture.play.library import Library
 from deepfracture.play.player import Player
@@ -18,7 +19,6 @@ from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import scratch_folder
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput
-from deepfracture.viewer import add_floor
 from deepfracture.world import UPRIGHT
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deepfracture.breakers import AGAIN
+from deepfracture.breakers import REFRACTURING
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry.rotations import rotation_matrix
@@ -190,7 +190,7 @@ class Session:
         )
         scene = Scene(
             (placed,), floor=Floor(), gravity=setup.gravity, seed=setup.seed, breaker=setup.breaker,
-            refracture=GENERATIONS if setup.breaker in AGAIN else 0, refracture_by="balls",
+            refracture=GENERATIONS if setup.breaker in REFRACTURING else 0, refracture_by="balls",
         )  # fmt: skip
         materials = {setup.material: preset(setup.material)}
         return Live(scene, [shape], breaker, np.random.default_rng(setup.seed), materials=materials)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.breakers import AGAIN
+from deepfracture.breakers import REFRACTURING
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Floats, Shape
 from deepfracture.world import GRAVITY, STEEL, UPRIGHT, Ball, Floor, Placed, Scene, place_on_floor
@@ -48,7 +48,7 @@ def draw_scene(
     if balls and rng.random() < SECOND_SHARE:
         balls.append(_ball(shape, placed, rng, floor=floor, delay=float(rng.uniform(0.0, 0.6))))
     flight = max((ball.delay + _flight(ball) for ball in balls), default=0.5)
-    again = breaker in AGAIN and bool(rng.random() < AGAIN_SHARE * (0.3 if breaker == "physical" else 1.0))
+    again = breaker in REFRACTURING and bool(rng.random() < AGAIN_SHARE * (0.3 if breaker == "physical" else 1.0))
     anything = breaker != "physical" and bool(rng.random() < 0.5)
     return Scene(
         (placed,), tuple(balls), Floor() if floor else None, gravity=GRAVITY if floor else 0.0,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepfracture.carve import cut
-from deepfracture.dataset import CollisionResult, Local, simulate_collisions
+from deepfracture.dataset import CollisionResult, Local, SimulateOptions, simulate_collisions
 from deepfracture.fracture import material
 from deepfracture.geometry import builtin, faults, signed_distance
 from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape
@@ -132,8 +132,9 @@ def test_statistics_find_what_rises_with_the_impulse(tmp_path: Path) -> None:
     from collision_statistics import collision_statistics
 
     simulate_collisions(
-        builtin("bar"), PLASTER, tmp_path / "set", collisions=12, executor=Local(1), resolution=32, seed=1,
-        speed_range=(1.0, 2.0), make_simulator=collide,
+        builtin("bar"), PLASTER, tmp_path / "set",
+        SimulateOptions(collisions=12, resolution=32, seed=1, speed=(1.0, 2.0)),
+        executor=Local(1), make_simulator=collide,
     )  # fmt: skip
     collision_statistics(datasets=(tmp_path / "set",), small=0.9, reference=tmp_path, docs=tmp_path)
     about = json.loads((tmp_path / "statistics.json").read_text())["shapes"]["bar"]
@@ -183,8 +184,9 @@ def test_round_trip_compares_the_ways_and_skips_what_is_absent(
     from round_trip import round_trip
 
     simulate_collisions(
-        builtin("bar"), PLASTER, tmp_path / "set", collisions=4, executor=Local(1), resolution=32, seed=1,
-        speed_range=(1.0, 2.0), make_simulator=collide,
+        builtin("bar"), PLASTER, tmp_path / "set",
+        SimulateOptions(collisions=4, resolution=32, seed=1, speed=(1.0, 2.0)),
+        executor=Local(1), make_simulator=collide,
     )  # fmt: skip
     page = round_trip((tmp_path / "set",), patterns=2, data=tmp_path, reference=tmp_path, out=tmp_path / "out")
     lines = [line.split("|")[1:-1] for line in page.read_text().splitlines() if "simulated" in line]

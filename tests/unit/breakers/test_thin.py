@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from deepfracture.api import hit
-from deepfracture.breakers import make_breaker
+from deepfracture.breakers import BreakerOptions, make_breaker
 from deepfracture.fracture import material, prepare_body
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.types import BadInput, Grid, Mesh, Shape
@@ -18,7 +18,7 @@ def test_a_shape_thinner_than_a_voxel_is_refused_and_a_splinter_stays_whole(name
     bar = builtin("bar").mesh
     shape = Shape("needle", Mesh(bar.vertices * [1, 0.01, 0.01], bar.faces))
     blow = hit(shape, (0, 0, 0.1), (0, 0, -1), impulse=500, speed=10)
-    breaker = make_breaker(name, shape, material("plaster"), Grid(32))
+    breaker = make_breaker(name, shape, material("plaster"), BreakerOptions(resolution=32))
     with pytest.raises(BadInput, match=r"needle: thinner than a voxel of 0\.0625 m"):
         breaker(shape, blow, np.random.default_rng(0))
     splinter = replace(shape, whole=builtin("pot"))
@@ -32,7 +32,8 @@ def test_a_skin_that_a_few_voxel_centres_happen_to_lie_in_is_refused(voxels: int
     blow = hit(skin, (0, 0, 1), (0, 0, -1), impulse=3000, speed=20)
     assert (signed_distance(skin.mesh, Grid(voxels)) > 0).any()
     with pytest.raises(BadInput, match="skin: thinner than a voxel"):
-        make_breaker("voronoi", skin, material("plaster"), Grid(voxels))(skin, blow, np.random.default_rng(0))
+        breaker = make_breaker("voronoi", skin, material("plaster"), BreakerOptions(resolution=voxels))
+        breaker(skin, blow, np.random.default_rng(0))
 
 
 def joined(one: Mesh, other: Mesh) -> Mesh:

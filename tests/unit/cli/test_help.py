@@ -8,14 +8,15 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from deepfracture.cli import main
-from deepfracture.cli.help import EXAMPLES
+from deepfracture.cli.global_options import GlobalOptions, split_global_options
+from deepfracture.cli.help import EXAMPLES, with_new_names
 from deepfracture.cli.main import commands
-from deepfracture.cli.manner import Manner, split_manner
 from deepfracture.runtime.progress import collect_stages, log, stage, track
 from deepfracture.types import BadInput
 
@@ -75,8 +76,55 @@ def test_a_mistyped_file_is_met_with_the_near_one(tmp_path: Path, capsys: pytest
 
 
 def test_a_mistyped_option_is_met_with_the_near_one(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = said(capsys, "shatter", "pot", "--breker", "voronoi")
-    assert code == 2 and "--breaker" in out + err
+    code, _, err = said(capsys, "shatter", "pot", "--breker", "voronoi")
+    assert (
+        code == 2
+        and err == "deepfracture: shatter has no option --breker; see shatter --help; did you mean '--breaker'?\n"
+    )
+    _, _, err = said(capsys, "train", "data", "--out", "run", "--epoch=3")
+    assert err.endswith("train has no option --epoch; see train --help; did you mean '--epochs'?\n")
+
+
+def test_the_help_shows_types_as_words_and_allowed_values(capsys: pytest.CaptureFixture[str]) -> None:
+    from deepfracture.breakers import BREAKERS
+    from deepfracture.cli import options
+    from deepfracture.dataset import EXECUTORS
+    from deepfracture.export import FORMATS
+    from deepfracture.fracture import MATERIALS
+    from deepfracture.world import ENGINES, KINDS, UPRIGHT
+
+    for command in commands():
+        _, out, _ = said(capsys, command, "--help")
+        assert "None" not in out and "[STR" not in out and "PATH" not in out, command
+    assert set(options.MATERIALS) == set(MATERIALS) and set(options.ENGINES) == set(ENGINES)
+    assert options.SCENES == KINDS and options.EXECUTORS == EXECUTORS and set(options.AXES) == set(UPRIGHT)
+    assert set(options.FORMATS) == set(FORMATS)
+    _, out, _ = said(capsys, "shatter", "--help")
+    for values in (BREAKERS, options.MATERIALS, options.ENGINES, options.AXES):
+        assert options.one_of(*values) in out
+
+
+def test_the_help_is_instant(capsys: pytest.CaptureFixture[str]) -> None:
+    code = (
+        "import sys\n"
+        "from deepfracture.cli import main\n"
+        "try:\n    main(['shatter', '--help'])\n"
+        "except SystemExit:\n    pass\n"
+        "assert not {'numba', 'scipy', 'torch', 'zarr', 'viser'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_a_deprecated_option_works_with_one_line_of_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert with_new_names(["convert", "a", "b"]) == ["copy", "a", "b"]
+    assert caplog.messages == ["convert is deprecated, use copy"]
+    assert with_new_names(["--budget=400", "--budget", "4"]) == ["--max-faces=400", "--max-faces", "4"]
+    caplog.clear()
+    words = ["shatter", "bar", "--breaker", "voronoi", "--resolution", "32", "--speed", "16", "--formats", "fragments"]
+    main([*words, "--out", str(tmp_path / "out"), "--budget", "400"])
+    warned = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert warned == ["--budget is deprecated, use --max-faces"]
+    assert "coarsen" in " ".join(caplog.messages) or "decimate" in " ".join(caplog.messages)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -91,13 +139,15 @@ def test_completion_is_a_script_that_its_shell_accepts(
         subprocess.run([shell, "-n", str(script)], check=True)
 
 
-def test_manners_are_taken_from_anywhere_in_the_line() -> None:
-    words, manner = split_manner(["shatter", "-q", "pot", "--profile", "a.prof", "--seed", "3"])
-    assert words == ["shatter", "pot", "--seed", "3"] and manner == Manner(quiet=True, profile=Path("a.prof"))
-    assert split_manner(["info", "--verbose", "--profile=b"])[1] == Manner(verbose=True, profile=Path("b"))
+def test_global_options_are_taken_from_anywhere_in_the_line() -> None:
+    words, options = split_global_options(["shatter", "-q", "pot", "--profile", "a.prof", "--seed", "3"])
+    assert words == ["shatter", "pot", "--seed", "3"] and options == GlobalOptions(quiet=True, profile=Path("a.prof"))
+    assert split_global_options(["info", "--verbose", "--profile=b"])[1] == GlobalOptions(
+        verbose=True, profile=Path("b")
+    )
     for wrong in (["--profile"], ["--profile", "--seed"], ["-q", "-v"]):
         with pytest.raises(BadInput):
-            split_manner(["info", *wrong])
+            split_global_options(["info", *wrong])
 
 
 def test_quiet_says_nothing_and_the_next_command_does(capsys: pytest.CaptureFixture[str]) -> None:

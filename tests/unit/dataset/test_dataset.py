@@ -17,6 +17,7 @@ from deepfracture.dataset import (
     DatasetSettings,
     Local,
     Sample,
+    SimulateOptions,
     copy_dataset,
     create_dataset,
     make_executor,
@@ -58,9 +59,9 @@ from tests.tools.synthetic import (
 
 
 def run(out: Path, **changes):
-    options = {"collisions": 8, "executor": Local(1), "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0)}
-    options = options | {"make_simulator": fake_collisions} | changes
-    return simulate_collisions(TETRAHEDRON, CLAY, out, **options)
+    executor, make_simulator = changes.pop("executor", Local(1)), changes.pop("make_simulator", fake_collisions)
+    options = SimulateOptions(**({"collisions": 8, "resolution": 32, "seed": 3, "speed": (1.0, 9.0)} | changes))
+    return simulate_collisions(TETRAHEDRON, CLAY, out, options, executor=executor, make_simulator=make_simulator)
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -170,7 +171,7 @@ def test_only_missing_collisions_are_done_again(tmp_path: Path, finished: Path) 
 
 
 def test_a_finished_set_starts_no_worker(finished: Path) -> None:
-    assert run(finished, executor=None).tried == 8
+    assert run(finished, executor=object()).tried == 8
 
 
 def test_a_start_that_fails_reaches_the_caller(tmp_path: Path) -> None:
@@ -196,10 +197,10 @@ def test_poisoned_collisions_are_recorded_and_passed_over(tmp_path: Path) -> Non
 
 def test_a_killed_worker_costs_no_sample(tmp_path: Path) -> None:
     clay = replace(CLAY, name=str(tmp_path / "trace"))
-    options = {"collisions": 6, "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0), "executor": Local(1)}
-    made = simulate_collisions(TETRAHEDRON, clay, tmp_path / "set", make_simulator=killed_once, **options)
+    options, one = SimulateOptions(collisions=6, resolution=32, seed=3, speed=(1.0, 9.0)), Local(1)
+    made = simulate_collisions(TETRAHEDRON, clay, tmp_path / "set", options, executor=one, make_simulator=killed_once)
     assert Path(clay.name).exists() and made.tried == 6 and made.failed == 0
-    simulate_collisions(TETRAHEDRON, clay, tmp_path / "quiet", make_simulator=fake_collisions, **options)
+    simulate_collisions(TETRAHEDRON, clay, tmp_path / "quiet", options, executor=one, make_simulator=fake_collisions)
     assert digests(tmp_path / "set") == digests(tmp_path / "quiet")
 
 
@@ -254,7 +255,7 @@ def test_what_the_solver_cannot_take_is_counted_and_passed_over(
     [
         ({"seed": 4}, "another seed: 3, not 4"),
         ({"resolution": 64}, "another resolution: 32, not 64"),
-        ({"speed_range": (1.0, 8.0)}, "another speed_range"),
+        ({"speed": (1.0, 8.0)}, "another speed_range"),
         ({"scene": "dual"}, "another scene: single, not dual"),
         ({"refracture": 2}, "another refracture: 0, not 2"),
     ],
@@ -269,7 +270,7 @@ def test_another_material_is_named_by_the_property_that_differs(finished: Path) 
     stiff = Material("clay", 41e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
     with pytest.raises(BadInput, match="another material young"):
         simulate_collisions(
-            TETRAHEDRON, stiff, finished, collisions=8, executor=Local(1), resolution=32, seed=3, speed_range=(1, 9)
+            TETRAHEDRON, stiff, finished, SimulateOptions(collisions=8, resolution=32, seed=3, speed=(1, 9))
         )
 
 
@@ -349,7 +350,7 @@ def test_a_kind_of_scene_is_remembered(tmp_path: Path) -> None:
     [
         {"collisions": 0},
         {"collisions": 10**6, "repeats": 2},
-        {"speed_range": (5.0, 2.0)},
+        {"speed": (5.0, 2.0)},
         {"scene": "triple"},
         {"limit": 0.0},
         {"memory": -1.0},

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepfracture.dataset import Dataset, Local, RayCluster, recorded, simulate_collisions
+from deepfracture.dataset import Dataset, Local, RayCluster, SimulateOptions, recorded, simulate_collisions
 from deepfracture.runtime import extras
 from deepfracture.types import BadInput
 from tests.tools.synthetic import CLAY, TETRAHEDRON, fake_collisions, unready
@@ -29,14 +29,9 @@ def cluster() -> Iterator[RayCluster]:
 
 
 def run(out: Path, executor: Local | RayCluster, **changes) -> Dataset:
-    options = {
-        "collisions": 8,
-        "resolution": 32,
-        "seed": 3,
-        "speed_range": (1.0, 9.0),
-        "make_simulator": fake_collisions,
-    }
-    return simulate_collisions(TETRAHEDRON, CLAY, out, executor=executor, **(options | changes))
+    make_simulator = changes.pop("make_simulator", fake_collisions)
+    options = SimulateOptions(**({"collisions": 8, "resolution": 32, "seed": 3, "speed": (1.0, 9.0)} | changes))
+    return simulate_collisions(TETRAHEDRON, CLAY, out, options, executor=executor, make_simulator=make_simulator)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

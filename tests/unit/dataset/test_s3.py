@@ -17,6 +17,7 @@ from deepfracture.dataset import (
     Dataset,
     DatasetSettings,
     Local,
+    SimulateOptions,
     copy_dataset,
     create_dataset,
     open_dataset,
@@ -55,10 +56,11 @@ def bucket() -> Iterator[None]:
 
 
 def run(place: Path | str, collisions: int = 8, **changes) -> Dataset:
-    options = {"executor": Local(2), "resolution": 32, "seed": 3, "speed_range": (1.0, 9.0)} | changes
-    return simulate_collisions(
-        TETRAHEDRON, CLAY, place, collisions=collisions, make_simulator=fake_collisions, **options
+    executor = changes.pop("executor", Local(2))
+    options = SimulateOptions(
+        **({"collisions": collisions, "resolution": 32, "seed": 3, "speed": (1.0, 9.0)} | changes)
     )
+    return simulate_collisions(TETRAHEDRON, CLAY, place, options, executor=executor, make_simulator=fake_collisions)
 
 
 def objects(place: Path | str) -> dict[str, str]:

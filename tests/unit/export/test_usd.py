@@ -12,7 +12,7 @@ from deepfracture.export import write_usd
 from deepfracture.export.names import body_names
 from deepfracture.geometry.rotations import rotation_matrices
 from deepfracture.recording.motion import break_frame, pivot_positions, pose
-from deepfracture.types import BadInput, Grid, Rigid, Track
+from deepfracture.types import BadInput, Rigid, Track
 from deepfracture.world import Block, Floor, Placed, Scene
 
 WHY = "usd-core is not installed: pip install 'deepfracture[usd]'"
@@ -276,14 +276,14 @@ def test_bad_values_get_one_line(recording, tmp_path):
 @pytest.fixture(scope="module")
 def shattered():
     """A bar that a ball broke in a real world."""
-    from deepfracture.breakers import make_breaker
+    from deepfracture.breakers import BreakerOptions, make_breaker
     from deepfracture.fracture import material
     from deepfracture.geometry import builtin
     from deepfracture.world import simulate, throw_scene
 
     bar, plaster = builtin("bar"), material("plaster")
     scene = throw_scene("bar", bar, np.random.default_rng(1), material="plaster", speed=18.0)
-    breaker = make_breaker("voronoi", bar, plaster, Grid(32))
+    breaker = make_breaker("voronoi", bar, plaster, BreakerOptions(resolution=32))
     outcome = simulate(
         replace(scene, duration=0.8), [bar], breaker, np.random.default_rng(1), materials={"plaster": plaster}
     )

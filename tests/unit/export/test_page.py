@@ -9,7 +9,7 @@ from pathlib import Path
 import pygltflib
 from PIL import Image
 
-from deepfracture.viewer import write_page
+from deepfracture.export import write_page
 
 tools = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "recordings.py"))
 painted = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "painted.py"))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deepfracture.export.viser_scene import add_floor, add_surface
 from deepfracture.geometry.rotations import continuous_quats
 from deepfracture.recording.motion import KEY_TOL, exists, floor_height
 from deepfracture.recording.surface import track_surfaces
@@ -17,7 +18,6 @@ from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track as progress
 from deepfracture.types import Recording, Track
-from deepfracture.viewer.bodies import add_floor, add_surface
 
 if TYPE_CHECKING:
     from viser import FrameHandle, SceneApi, ViserServer

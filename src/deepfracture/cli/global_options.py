@@ -1,4 +1,4 @@
-"""How a command talks, whichever it is: quietly, in detail, or with a profile of where its time went."""
+"""Options that every command takes: --quiet, --verbose and --profile FILE."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from deepfracture.types import BadInput
 
 
 @dataclass(frozen=True)
-class Manner:
-    """What --quiet, --verbose and --profile FILE ask for; any command takes them, anywhere in the line."""
+class GlobalOptions:
+    """What --quiet, --verbose and --profile FILE ask for, anywhere in the command line."""
 
     quiet: bool = False
     verbose: bool = False
     profile: Path | None = None
 
 
-def split_manner(words: Sequence[str]) -> tuple[list[str], Manner]:
-    """The words of a command line that are left, and the manner that the others ask for.
+def split_global_options(words: Sequence[str]) -> tuple[list[str], GlobalOptions]:
+    """The words of a command line without the global options, and those options.
 
     Raises:
         BadInput: --profile without a file, or quiet and verbose at once.
     """
     left: list[str] = []
-    said, profile = set(), None
+    given, profile = set(), None
     rest = iter(words)
     for word in rest:
         if word in ("-q", "--quiet", "-v", "--verbose"):
-            said.add("quiet" if "q" in word else "verbose")
+            given.add("quiet" if "q" in word else "verbose")
         elif word == "--profile" or word.startswith("--profile="):
             name = word.partition("=")[2] or next(rest, "")
             if not name or name.startswith("-"):
@@ -43,13 +43,13 @@ def split_manner(words: Sequence[str]) -> tuple[list[str], Manner]:
             profile = Path(name)
         else:
             left.append(word)
-    if len(said) == 2:
+    if len(given) == 2:
         raise BadInput("--quiet and --verbose exclude each other")
-    return left, Manner("quiet" in said, "verbose" in said, profile)
+    return left, GlobalOptions("quiet" in given, "verbose" in given, profile)
 
 
 class _Stderr(logging.StreamHandler):
-    """Writes to whatever stderr is when a line comes, so that lines go above a running bar."""
+    """Writes to the current stderr, so that lines go above a running progress bar."""
 
     @property
     def stream(self) -> TextIO:
@@ -59,17 +59,17 @@ class _Stderr(logging.StreamHandler):
     def stream(self, stream: TextIO) -> None: ...
 
 
-def set_logging(manner: Manner) -> None:
-    """One line a stage; only warnings when quiet; with the time of day and more of them in detail."""
-    form = "%(asctime)s %(levelname)-7s %(message)s" if manner.verbose else "%(message)s"
+def set_logging(options: GlobalOptions) -> None:
+    """One line a stage; only warnings when quiet; times of day and debug messages when verbose."""
+    form = "%(asctime)s %(levelname)-7s %(message)s" if options.verbose else "%(message)s"
     logging.basicConfig(level=logging.WARNING, format=form, datefmt="%H:%M:%S", handlers=[_Stderr()])
-    log.setLevel(logging.WARNING if manner.quiet else logging.DEBUG if manner.verbose else logging.INFO)
-    disable_progress(manner.quiet)
+    log.setLevel(logging.WARNING if options.quiet else logging.DEBUG if options.verbose else logging.INFO)
+    disable_progress(options.quiet)
 
 
 @contextmanager
 def profiled(path: Path | None) -> Iterator[None]:
-    """Write where Python's time goes inside this block to `path`, and say which stages took how much of it."""
+    """Profile this block into `path`, and log the share of each stage."""
     if path is None:
         yield
         return
