@@ -18,7 +18,7 @@ from common import ROOT, start, table, write_text
 
 from deepfracture.breakers import PatternSource, recall
 from deepfracture.breakers.recalled import Memory
-from deepfracture.compare import traits_of
+from deepfracture.compare import describe
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
 from deepfracture.learn import Normaliser
@@ -96,7 +96,7 @@ def sources(train: Dataset, sizes: Sequence[int]) -> dict[str, PatternSource]:
     impacts = train.impacts()
     normaliser = Normaliser(train.max_impulse)
     rows = np.stack([normaliser(impact) for impact in impacts]).astype(np.float32)
-    apart = mean_distance([traits_of(memory.pattern(index), impacts[0]) for index in range(len(train))])
+    apart = mean_distance([describe(memory.pattern(index), impacts[0]) for index in range(len(train))])
     segment = np.random.default_rng(0).standard_normal((len(rows), SEGMENT_SIZE)).astype(np.float32)
     whole = Choice(rows, segment, apart, fit(rows, apart))
     found: dict[str, PatternSource] = {}

@@ -1,7 +1,7 @@
-"""How alike two ways of breaking are: what describes a pattern, and how far two descriptions are apart."""
+"""Similarity of fracture patterns: descriptors of a pattern, and distances between two descriptions."""
 
+from deepfracture.compare.descriptors import Descriptors, describe
 from deepfracture.compare.distances import MEASURES, distances
-from deepfracture.compare.information import variation_of_information
-from deepfracture.compare.traits import Traits, traits_of
+from deepfracture.compare.partition import variation_of_information
 
-__all__ = ["MEASURES", "Traits", "distances", "traits_of", "variation_of_information"]
+__all__ = ["MEASURES", "Descriptors", "describe", "distances", "variation_of_information"]

@@ -1,4 +1,4 @@
-"""Fragments as points on their surfaces, and how far each is from its like in another pattern."""
+"""Chamfer distance between the fragments of two patterns, from points on their surfaces."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from numpy.typing import NDArray
 
 from deepfracture.types import Floats32, Grid, Ints, Labels
 
-DENSE = 512
-"""Most surface points kept of a fragment ..."""
-SPARSE = 64
-"""... and of those, how many look for their nearest point in the other fragment."""
+MAX_POINTS = 512
+"""Most surface points of a fragment ..."""
+QUERY_POINTS = 64
+"""... and how many of them query their nearest neighbour in the other fragment."""
 
 
 def surface_points(labels: Labels, count: int, grid: Grid) -> tuple[Floats32, Ints]:
-    """At most DENSE voxel centres on the surface of each fragment (cracks and outside).
+    """At most MAX_POINTS voxel centres on the surface of each fragment (cracks and outside).
 
-    Voxels are taken in one scattered order that depends on the resolution alone, so that what two patterns have in
-    common they share point by point, and the first SPARSE points are themselves spread over the fragment.
+    Voxels are taken in a scrambled order that depends on the resolution alone: where two patterns agree they share
+    their points, and the first QUERY_POINTS points are themselves spread over the fragment.
 
     Args:
         labels: 1..count, 0 outside, shape (r, r, r).
 
     Returns:
-        Points [m], fragment after fragment, shape (n, 3), and where each fragment starts, shape (count + 1,).
+        Points [m], fragment by fragment, shape (n, 3), and the index of each fragment's first, shape (count + 1,).
     """
-    places, owners = _surface(np.pad(labels, 1))
-    order = np.lexsort((_scattered(places, grid.resolution), owners))
+    voxels, owners = _surface_voxels(np.pad(labels, 1))
+    order = np.lexsort((_scrambled(voxels, grid.resolution), owners))
     first = np.searchsorted(owners[order], np.arange(1, count + 2))
     rank = np.arange(len(order)) - np.repeat(first[:-1], np.diff(first))
-    kept = places[order[rank < DENSE]]
-    starts = np.concatenate([[0], np.minimum(np.diff(first), DENSE).cumsum()])
+    kept = voxels[order[rank < MAX_POINTS]]
+    starts = np.concatenate([[0], np.minimum(np.diff(first), MAX_POINTS).cumsum()])
     return grid.to_world(np.stack(np.unravel_index(kept, grid.shape), axis=1)).astype(np.float32), starts
 
 
-def _scattered(places: Ints, resolution: int) -> Ints:
+def _scrambled(voxels: Ints, resolution: int) -> Ints:
     """A permutation of the voxels' flat indices: resolutions are powers of two, so odd factors and shifts permute."""
     bits = 3 * int(np.log2(resolution))
     last = (1 << bits) - 1
-    mixed = (places * 0x9E3779B1) & last
+    mixed = (voxels * 0x9E3779B1) & last
     mixed ^= mixed >> (bits // 2)
     return (mixed * 0x85EBCA6B) & last
 
 
 @njit(cache=True)
-def _surface(labels):
-    """Flat index of every voxel beside one of another label, and its own label."""
+def _surface_voxels(labels):
+    """Flat index and label of every voxel with a neighbour of another label."""
     r = labels.shape[0] - 2
     size = 0
-    places = np.empty(r**3, np.int64)
+    voxels = np.empty(r**3, np.int64)
     owners = np.empty(r**3, np.int32)
     for i in range(1, r + 1):
         for j in range(1, r + 1):
@@ -60,32 +60,32 @@ def _surface(labels):
                     or labels[i, j - 1, k] != own or labels[i, j + 1, k] != own
                     or labels[i, j, k - 1] != own or labels[i, j, k + 1] != own
                 ):  # fmt: skip
-                    places[size] = ((i - 1) * r + j - 1) * r + k - 1
+                    voxels[size] = ((i - 1) * r + j - 1) * r + k - 1
                     owners[size] = own
                     size += 1
-    return places[:size].copy(), owners[:size].copy()
+    return voxels[:size].copy(), owners[:size].copy()
 
 
 def mean_chamfer(a: Floats32, starts_a: Ints, b: Floats32, starts_b: Ints) -> float:
-    """Mean over all fragments, of both patterns, of the chamfer distance to the most alike one of the other [m].
+    """Mean over the fragments of both patterns of the chamfer distance to the closest one of the other pattern [m].
 
-    The chamfer distance of two fragments is the mean distance from points of one to the nearest of the other, both
-    ways. The means over the fragments of a and of b count equally."""
-    boxes_a, boxes_b = _boxes(a, starts_a), _boxes(b, starts_b)
-    there = _best(a, starts_a, boxes_a, b, starts_b, boxes_b, SPARSE)
-    back = _best(b, starts_b, boxes_b, a, starts_a, boxes_a, SPARSE)
-    return 0.5 * float(there.mean() + back.mean())
+    The chamfer distance of two fragments is the mean distance from points of one to the nearest of the other, averaged
+    over both directions. The means over the fragments of a and of b have equal weight."""
+    boxes_a, boxes_b = _bounding_boxes(a, starts_a), _bounding_boxes(b, starts_b)
+    forward = _closest_distances(a, starts_a, boxes_a, b, starts_b, boxes_b, QUERY_POINTS)
+    backward = _closest_distances(b, starts_b, boxes_b, a, starts_a, boxes_a, QUERY_POINTS)
+    return 0.5 * float(forward.mean() + backward.mean())
 
 
-def _boxes(points: Floats32, starts: Ints) -> Floats32:
+def _bounding_boxes(points: Floats32, starts: Ints) -> Floats32:
     low = np.minimum.reduceat(points, starts[:-1], axis=0)
     high = np.maximum.reduceat(points, starts[:-1], axis=0)
     return np.stack([low, high], axis=1)
 
 
 @njit(cache=True)
-def _best(a, starts_a, boxes_a, b, starts_b, boxes_b, sparse) -> NDArray:
-    """For each fragment of a the smallest chamfer distance to one of b, the least promising left out."""
+def _closest_distances(a, starts_a, boxes_a, b, starts_b, boxes_b, queries) -> NDArray:
+    """For each fragment of a the smallest chamfer distance to one of b; bounding boxes prune the search."""
     n, m = len(starts_a) - 1, len(starts_b) - 1
     best = np.full(n, np.inf)
     bound = np.empty(m)
@@ -93,20 +93,20 @@ def _best(a, starts_a, boxes_a, b, starts_b, boxes_b, sparse) -> NDArray:
         own = a[starts_a[f] : starts_a[f + 1]]
         for g in range(m):
             other = b[starts_b[g] : starts_b[g + 1]]
-            bound[g] = 0.5 * (_to_box(own, boxes_b[g], sparse) + _to_box(other, boxes_a[f], sparse))
+            bound[g] = 0.5 * (_box_distance(own, boxes_b[g], queries) + _box_distance(other, boxes_a[f], queries))
         for g in np.argsort(bound):
             if bound[g] >= best[f]:
                 break
             other = b[starts_b[g] : starts_b[g + 1]]
-            found = 0.5 * (_one_way(own, other, sparse) + _one_way(other, own, sparse))
+            found = 0.5 * (_directed_distance(own, other, queries) + _directed_distance(other, own, queries))
             best[f] = min(best[f], found)
     return best
 
 
 @njit(cache=True)
-def _to_box(points, box, sparse):
-    """Mean distance to a box: no more than that to what is in it."""
-    n = min(sparse, len(points))
+def _box_distance(points, box, queries):
+    """Mean distance to a box: a lower bound of the distance to its content."""
+    n = min(queries, len(points))
     total = 0.0
     for p in range(n):
         squared = 0.0
@@ -118,8 +118,8 @@ def _to_box(points, box, sparse):
 
 
 @njit(cache=True)
-def _one_way(points, others, sparse):
-    n = min(sparse, len(points))
+def _directed_distance(points, others, queries):
+    n = min(queries, len(points))
     total = 0.0
     for p in range(n):
         x, y, z = points[p]

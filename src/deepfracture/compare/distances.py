@@ -1,4 +1,4 @@
-"""How far two ways of breaking the same body under the same impact are apart, by eight measures."""
+"""Distances between two fracture patterns of the same body under the same impact, by eight measures."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from deepfracture.compare.chamfer import mean_chamfer
-from deepfracture.compare.information import information_of, joint_sizes
-from deepfracture.compare.traits import Traits
+from deepfracture.compare.descriptors import Descriptors
+from deepfracture.compare.partition import contingency_table, table_variation
 from deepfracture.types import BadInput, Floats
 
 MEASURES = ("count", "volumes", "normals", "area", "centre", "size", "chamfer", "division")
-"""In the order of `distances`: fragment count (relative), fragment volumes (Kolmogorov and Smirnov), normals of the
-cracks (total variation), their area (relative), centre of the shattered region [m] and its size (relative), mean
-chamfer distance of fragments [m], variation of information between the divisions [bits]."""
+"""In the order of `distances`: fragment count (relative), fragment volumes (Kolmogorov-Smirnov), crack normals (total
+variation), crack area (relative), centre of the shattered region [m] and its size (relative), mean chamfer distance of
+fragments [m], variation of information between the partitions [bits]."""
 
 
-def distances(a: Traits, b: Traits, measures: Sequence[str] = MEASURES) -> dict[str, float]:
-    """Some or all of MEASURES: symmetric, zero for equal patterns, the larger the more unlike.
+def distances(a: Descriptors, b: Descriptors, measures: Sequence[str] = MEASURES) -> dict[str, float]:
+    """Some or all of MEASURES: symmetric, zero for equal patterns, larger for less similar ones.
 
     Relative differences are |a - b| over the mean of a and b, so 2 at most.
 
@@ -42,13 +42,13 @@ def _relative(a: float, b: float) -> float:
 
 
 def _total_variation(a: Floats, b: Floats) -> float:
-    """Of two distributions; 1 if one of them is of no crack at all, 0 if both are."""
+    """Of two distributions; 1 if exactly one pattern has no crack, 0 if neither has one."""
     if not a.any() or not b.any():
         return float(a.any() != b.any())
     return float(0.5 * np.abs(a - b).sum())
 
 
-_MEASURES: dict[str, Callable[[Traits, Traits], float]] = {
+_MEASURES: dict[str, Callable[[Descriptors, Descriptors], float]] = {
     "count": lambda a, b: _relative(a.count, b.count),
     "volumes": lambda a, b: kolmogorov_smirnov(a.volumes, b.volumes),
     "normals": lambda a, b: _total_variation(a.normals, b.normals),
@@ -56,5 +56,5 @@ _MEASURES: dict[str, Callable[[Traits, Traits], float]] = {
     "centre": lambda a, b: float(np.linalg.norm(a.centre - b.centre)),
     "size": lambda a, b: _relative(a.size, b.size),
     "chamfer": lambda a, b: mean_chamfer(a.points, a.starts, b.points, b.starts),
-    "division": lambda a, b: information_of(joint_sizes(a.division, b.division, a.count, b.count)),
+    "division": lambda a, b: table_variation(contingency_table(a.partition, b.partition, a.count, b.count)),
 }

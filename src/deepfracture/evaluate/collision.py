@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepfracture.breakers import PatternSource
-from deepfracture.compare import MEASURES, Traits, distances, traits_of
+from deepfracture.compare import MEASURES, Descriptors, describe, distances
 from deepfracture.dataset import Sample
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import BadInput, FracturePattern, Impact, Ints, Shape
@@ -90,15 +90,15 @@ def measure(
         number: Of the collision: with `seed` and the number of the draw it decides the generator that a source
             gets, so neither other sources nor the order of anything matters.
         samples: Repeats of this collision, two or more.
-        inside: Voxels of the flattened `Traits.division` that are kept.
+        inside: Voxels of the flattened `Descriptors.partition` that are kept.
     """
     impact = samples[0].impact
-    repeats = [traits_of(sample.pattern, impact) for sample in samples]
+    repeats = [describe(sample.pattern, impact) for sample in samples]
     answers, divisions = {}, {}
     for name, source in sources.items():
         rngs = [np.random.default_rng([seed, number, draw]) for draw in range(draws)]
         asked = [_ask(name, source, shape, impact, samples[0].pattern, rng) for rng in rngs]
-        found = [traits_of(pattern, impact) for pattern, _, _ in asked]
+        found = [describe(pattern, impact) for pattern, _, _ in asked]
         answers[name] = Answer(
             _volumes(found),
             tuple(mean([distances(one, repeat) for repeat in repeats]) for one in found),
@@ -106,13 +106,13 @@ def measure(
             tuple(seconds for _, seconds, _ in asked),
             tuple(stages for _, _, stages in asked),
         )
-        divisions[name] = tuple(one.division.ravel()[inside] for one in found)
+        divisions[name] = tuple(one.partition.ravel()[inside] for one in found)
     floor = mean([distances(a, b) for a, b in combinations(repeats, 2)])
     position, direction = (tuple(value[0].tolist()) for value in (impact.position, impact.direction))
     collision = Collision(
         number, float(impact.magnitude[0]), position, direction, _volumes(repeats), floor, answers
     )  # fmt: skip
-    return Measured(collision, tuple(one.division.ravel()[inside] for one in repeats), divisions)
+    return Measured(collision, tuple(one.partition.ravel()[inside] for one in repeats), divisions)
 
 
 def mean(rows: Sequence[Distances]) -> Distances:
@@ -120,7 +120,7 @@ def mean(rows: Sequence[Distances]) -> Distances:
     return {name: float(np.mean([row[name] for row in rows])) for name in MEASURES} if rows else {}
 
 
-def _volumes(traits: Sequence[Traits]) -> tuple[tuple[float, ...], ...]:
+def _volumes(traits: Sequence[Descriptors]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(one.volumes.tolist()) for one in traits)
 
 

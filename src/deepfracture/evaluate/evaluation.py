@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepfracture.breakers import PatternSource
-from deepfracture.compare import traits_of
+from deepfracture.compare import describe
 from deepfracture.dataset import Dataset
 from deepfracture.evaluate.collision import Answer, Collision, Measured, measure
 from deepfracture.evaluate.sensitivity import sensitivities
@@ -70,7 +70,7 @@ def evaluate(held: Dataset, sources: Mapping[str, PatternSource], *, draws: int,
             "with --repeats 4"
         )
     first = held[with_floor[0][0]]
-    inside = np.flatnonzero(traits_of(first.pattern, first.impact).division)
+    inside = np.flatnonzero(describe(first.pattern, first.impact).partition)
     _warm(held.shape, first.impact, sources, seed)
     measured: list[Measured] = []
     for group in track(with_floor, name="held-out collisions"):

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture.compare.information import joint_sizes, shared_information
+from deepfracture.compare.partition import contingency_table, normalized_mutual_information
 from deepfracture.evaluate.collision import Measured
 from deepfracture.types import Floats
 
@@ -50,7 +50,7 @@ def _pairs(divisions: Sequence[NDArray[np.uint16]]) -> Floats:
     counts = [int(division.max()) for division in divisions]
     return np.array(
         [
-            1 - shared_information(joint_sizes(divisions[i], divisions[j], counts[i], counts[j]))
+            1 - normalized_mutual_information(contingency_table(divisions[i], divisions[j], counts[i], counts[j]))
             for i, j in combinations(range(len(divisions)), 2)
         ]
     )

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch  # noqa: TID253  (this module is imported by `learn.train` alone)
 
-from deepfracture.compare import traits_of
+from deepfracture.compare import describe
 from deepfracture.dataset import Dataset
 from deepfracture.geometry import signed_distance
 from deepfracture.learn.checkpoint import read, write
@@ -195,8 +195,8 @@ class _Lesson:
         impulses, probes, traits, somewhere = [], [], [], dataset.impacts()[0]
         for index, sample in enumerate(track(dataset, name="targets", total=len(dataset))):
             impulses.append(normaliser(sample.impact))
-            found = traits_of(sample.pattern, somewhere)  # only differences between patterns matter
-            traits.append(replace(found, division=spilt(scratch, found.division)))
+            found = describe(sample.pattern, somewhere)  # only differences between patterns matter
+            traits.append(replace(found, partition=spilt(scratch, found.partition)))
             target = target_of(sample.pattern, body.voxels, places)
             for name, array in targets.items():
                 array[index] = getattr(target, name)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepfracture.carve import voronoi_pattern
-from deepfracture.compare import MEASURES, Traits, distances, traits_of
+from deepfracture.compare import MEASURES, Descriptors, describe, distances
 from deepfracture.compare.cracks import BINS, axes, crack_surface
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact
 
@@ -41,7 +41,7 @@ def relabelled(pattern: FracturePattern, seed: int = 0) -> FracturePattern:
     return pattern_of(np.concatenate([[0], names])[pattern.labels], pattern.grid)
 
 
-def same(a: Traits, b: Traits) -> bool:
+def same(a: Descriptors, b: Descriptors) -> bool:
     return all(value == pytest.approx(0, abs=1e-6) for value in distances(a, b).values())
 
 
@@ -50,11 +50,11 @@ def main_axis(shares: np.ndarray) -> np.ndarray:
     return np.linalg.eigh((axes().T * shares) @ axes())[1][:, -1]
 
 
-# Traits
+# Descriptors
 
 
 def test_slabs_have_the_traits_of_slabs() -> None:
-    traits = traits_of(slabs((-0.25, 0.0)), HIT)
+    traits = describe(slabs((-0.25, 0.0)), HIT)
     assert traits.count == 3
     assert traits.volumes == pytest.approx([0.0625, 0.0625, 0.125])
     assert traits.area == pytest.approx(2 * 0.25, rel=1e-6)
@@ -91,18 +91,18 @@ def test_a_thin_wall_does_not_turn_the_normal() -> None:
 
 
 def test_a_whole_body_has_no_crack() -> None:
-    traits = traits_of(slabs(()), HIT)
+    traits = describe(slabs(()), HIT)
     assert (traits.count, traits.area, traits.size) == (1, 0, 0)
     assert not traits.normals.any()
 
 
 def test_other_names_for_the_fragments_change_nothing() -> None:
     pattern = cells(3, 9)
-    assert same(traits_of(pattern, HIT), traits_of(relabelled(pattern), HIT))
+    assert same(describe(pattern, HIT), describe(relabelled(pattern), HIT))
 
 
 def test_points_lie_on_the_fragments_surfaces() -> None:
-    traits = traits_of(slabs((0.0,)), HIT)
+    traits = describe(slabs((0.0,)), HIT)
     left, right = np.split(traits.points, traits.starts[1:-1])
     assert (left[:, 0] < 0).all() and (right[:, 0] > 0).all()
     depth = np.minimum(np.minimum(0.5 - abs(right[:, 0]), right[:, 0]), 0.25 - np.abs(right[:, 1:]).max(axis=1))
@@ -112,14 +112,14 @@ def test_points_lie_on_the_fragments_surfaces() -> None:
 
 def test_nothing_cannot_be_described() -> None:
     with pytest.raises(BadInput, match="no fragment"):
-        traits_of(pattern_of(np.zeros(GRID.shape)), HIT)
+        describe(pattern_of(np.zeros(GRID.shape)), HIT)
 
 
 # Distances
 
 
 def test_distances_by_hand() -> None:
-    two, three = traits_of(slabs((0.0,)), HIT), traits_of(slabs((0.0, 0.25)), HIT)
+    two, three = describe(slabs((0.0,)), HIT), describe(slabs((0.0, 0.25)), HIT)
     found = distances(two, three)
     assert tuple(found) == MEASURES
     assert found["count"] == pytest.approx(1 / 2.5)
@@ -134,7 +134,7 @@ def test_distances_by_hand() -> None:
 def test_perpendicular_cracks_are_as_unlike_as_can_be() -> None:
     x, y, z = np.moveaxis(SMALL.centres(), -1, 0)
     inside = (abs(x) < 0.5) & (abs(y) < 0.5) & (abs(z) < 0.5)
-    across, along = (traits_of(pattern_of(np.where(inside, 1 + (side > 0), 0), SMALL), HIT) for side in (x, y))
+    across, along = (describe(pattern_of(np.where(inside, 1 + (side > 0), 0), SMALL), HIT) for side in (x, y))
     found = distances(across, along)
     assert found["normals"] > 0.99
     assert found["division"] == pytest.approx(2)
@@ -143,15 +143,15 @@ def test_perpendicular_cracks_are_as_unlike_as_can_be() -> None:
 
 
 def test_the_chamfer_distance_follows_a_moving_crack() -> None:
-    still = traits_of(slabs((0.0,)), HIT)
-    moved = [distances(still, traits_of(slabs((x,)), HIT))["chamfer"] for x in (0.0, 0.0625, 0.125, 0.25)]
+    still = describe(slabs((0.0,)), HIT)
+    moved = [distances(still, describe(slabs((x,)), HIT))["chamfer"] for x in (0.0, 0.0625, 0.125, 0.25)]
     assert moved[0] == 0
     assert (np.diff(moved) > 0).all()
     assert moved[-1] < 0.25
 
 
 def test_a_whole_body_is_as_far_as_can_be_from_cracks() -> None:
-    whole, broken = traits_of(slabs(()), HIT), traits_of(slabs((-0.25, 0.0, 0.25)), HIT)
+    whole, broken = describe(slabs(()), HIT), describe(slabs((-0.25, 0.0, 0.25)), HIT)
     found = distances(whole, broken)
     assert found["normals"] == 1 and found["area"] == 2 and found["division"] == pytest.approx(2)
     assert same(whole, whole)
@@ -159,13 +159,13 @@ def test_a_whole_body_is_as_far_as_can_be_from_cracks() -> None:
 
 def test_patterns_of_other_resolutions_are_refused() -> None:
     with pytest.raises(BadInput, match="resolution"):
-        distances(traits_of(slabs((0.0,)), HIT), traits_of(slabs((0.0,), SMALL), HIT))
+        distances(describe(slabs((0.0,)), HIT), describe(slabs((0.0,), SMALL), HIT))
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 99), st.integers(0, 99), st.integers(1, 12), st.integers(1, 12))
 def test_distances_are_symmetric_and_vanish_for_equals(seed: int, other: int, m: int, n: int) -> None:
-    a, b = traits_of(cells(seed, m), HIT), traits_of(cells(other, n), HIT)
+    a, b = describe(cells(seed, m), HIT), describe(cells(other, n), HIT)
     there, back = distances(a, b), distances(b, a)
     assert there == pytest.approx(back, abs=1e-9)
     assert all(value >= 0 for value in there.values())

@@ -15,8 +15,8 @@ from deepfracture.breakers import PatternSource, make_source, recall
 from deepfracture.breakers.cvd import CentroidalVoronoi, fitted_count, spread
 from deepfracture.carve import voronoi_pattern
 from deepfracture.cli import main
-from deepfracture.compare import MEASURES, distances, traits_of
-from deepfracture.compare.information import joint_sizes, shared_information
+from deepfracture.compare import MEASURES, describe, distances
+from deepfracture.compare.partition import contingency_table, normalized_mutual_information
 from deepfracture.dataset import (
     Dataset,
     DatasetSettings,
@@ -116,7 +116,7 @@ def timeless(evaluation: Evaluation) -> list[dict]:
 
 def test_the_floor_is_the_mean_over_pairs_of_repeats(held: Dataset, done: Evaluation) -> None:
     group = held.collisions()[4]
-    traits = [traits_of(held[index].pattern, held[index].impact) for index in group]
+    traits = [describe(held[index].pattern, held[index].impact) for index in group]
     by_hand = mean([distances(a, b) for a, b in combinations(traits, 2)])
     assert done.collisions[4].floor == pytest.approx(by_hand)
     assert done.collisions[4].counts == tuple(one.count for one in traits)
@@ -217,7 +217,7 @@ def test_sensitivity_tells_who_heeds_the_place_of_the_hit(done: Evaluation) -> N
 
 def test_shared_information_by_hand() -> None:
     def shared(a: list[int], b: list[int]) -> float:
-        return shared_information(joint_sizes(np.array(a), np.array(b), max(a), max(b)))
+        return normalized_mutual_information(contingency_table(np.array(a), np.array(b), max(a), max(b)))
 
     assert shared([1, 1, 2, 2], [2, 2, 1, 1]) == pytest.approx(1)
     assert shared([1, 1, 2, 2], [1, 2, 1, 2]) == pytest.approx(0)

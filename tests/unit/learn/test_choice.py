@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfracture.carve import voronoi_pattern
-from deepfracture.compare import traits_of
+from deepfracture.compare import describe
 from deepfracture.learn.partition.selector import Choice, Similarity, fit, mean_distance
 from deepfracture.types import Floats32, Grid, Impact
 
@@ -80,7 +80,7 @@ def test_distances_are_in_units_of_their_mean() -> None:
     rng = np.random.default_rng(5)
     hit = Impact([[0.9, 0, 0]], [[-1.0, 0, 0]], [100.0], [[1.0, 0, 0]], speed=3.0, radius=0.2)
     patterns = [voronoi_pattern(rng.uniform(-0.6, 0.6, (n, 3)), ball > 0, grid) for n in (3, 5, 9, 9)]
-    apart = mean_distance([traits_of(pattern, hit) for pattern in [*patterns, patterns[0]]])
+    apart = mean_distance([describe(pattern, hit) for pattern in [*patterns, patterns[0]]])
     assert apart.shape == (5, 5)
     assert apart[0, 4] == 0 and (np.diag(apart) == 0).all()
     assert (apart == apart.T).all()

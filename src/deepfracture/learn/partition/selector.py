@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from deepfracture.compare import MEASURES, Traits, distances
+from deepfracture.compare import MEASURES, Descriptors, distances
 from deepfracture.runtime.progress import track
 from deepfracture.types import Floats, Floats32, Ints
 
@@ -74,7 +74,7 @@ FAINT = 1e-6
 """Weight of what is nothing like it: far from all witnesses the mean of all decides."""
 
 
-def mean_distance(traits: list[Traits]) -> Floats32:
+def mean_distance(traits: list[Descriptors]) -> Floats32:
     """Mean over QUICK of the distances between each two patterns, each measure in units of its own mean."""
     n = len(traits)
     table = np.zeros((n, n, len(QUICK)))
