@@ -1,4 +1,4 @@
-"""Does Blender see in our files what was recorded? Every vertex of every fragment, at every tenth frame.
+"""Table of docs/guide/export.md: does Blender see what was recorded? Every vertex of every fragment, each tenth frame.
 
 A scene is written as .glb and .usdc, and converted to .abc and .fbx by blender/convert.py; Blender's Python reads each
 file back and says where the vertices are. Each vertex that Blender has is compared, in the user's units, with the one
@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from common import DATA, ROOT, shape_named, start, table, write_json, write_text
+from harness import DATA, ROOT, shape_named, start, table, write_json, write_text
 from scipy.spatial import cKDTree
 
 from deepfracture.export import write_glb, write_usd
@@ -29,8 +29,8 @@ from deepfracture.types import BadInput, Floats, NoSolution, Recording, Track
 FORMATS = ("glb", "usdc", "abc", "fbx")
 LIMIT = 1e-4
 """Largest deviation that counts as agreement [units of the user's file]."""
-TEN = 10
-"""Every how many frames are compared."""
+STRIDE = 10
+"""Frames from one compared frame to the next."""
 HERE = Path(__file__).parent
 # Blender's importers turn y-up files to its own z-up.
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -57,7 +57,7 @@ def agreement(recording: Recording, folder: Path, blender: str, formats: tuple[s
     first = break_frame(recording)
     if first is None:
         raise BadInput("recording must have fragments in it, nothing broke")
-    frames = list(range(-(-first // TEN) * TEN, recording.frames, TEN))
+    frames = list(range(-(-first // STRIDE) * STRIDE, recording.frames, STRIDE))
     write_glb(recording, folder / "animation.glb")
     rows = []
     for kind in formats:
@@ -66,7 +66,7 @@ def agreement(recording: Recording, folder: Path, blender: str, formats: tuple[s
             write_usd(recording, file)
         elif kind != "glb":
             run(blender, ROOT / "blender" / "convert.py", folder / "animation.glb", file)
-        run(blender, HERE / "blender_vertices.py", file, folder / f"{kind}.npz", rate(recording), *frames)
+        run(blender, HERE / "in_blender.py", "vertices", file, folder / f"{kind}.npz", rate(recording), *frames)
         with np.load(folder / f"{kind}.npz") as seen:
             rows.append(compared(recording, kind, dict(seen), frames))
     return rows
@@ -175,7 +175,9 @@ def blender_agreement(
         rows += [{"shape": name, **asdict(row)} for row in agreement(recording, out / name, python)]
         if picture is not None and name == shapes[0]:
             frame = (break_frame(recording) or 0) + later
-            run(python, HERE / "blender_picture.py", out / name / "animation.glb", picture, rate(recording), frame)
+            run(
+                python, HERE / "in_blender.py", "picture", out / name / "animation.glb", picture, rate(recording), frame
+            )
     write_json(out / "agreement.json", rows)
     lines = [[*[*row.values()][:5], f"{row['deviation']:.1e}", "yes" if row["ok"] else "NO"] for row in rows]
     head = ["shape", "format", "fragments", "frames", "vertices", "largest deviation", "within 1e-4"]

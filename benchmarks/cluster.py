@@ -1,4 +1,4 @@
-"""A Ray cluster of two nodes on this machine: a node is killed, a collision is poisoned, one worker becomes two.
+"""Log of docs/guide/many_machines.md: a local Ray cluster of two nodes; one is killed, some collisions are poisoned.
 
     python benchmarks/cluster.py --out runs/cluster
 
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_work import POISONED, Busy, Poisoned
-from common import ROOT, start, table, write_text
+from harness import ROOT, start, table, write_text
 
 from deepfracture.dataset import (
     Dataset,

@@ -1,4 +1,4 @@
-"""What the workers of cluster.py do; a module of its own, so that they can import it."""
+"""Jobs of the workers of cluster.py, in a module that they can import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Statistics of many collisions: how fragments answer to the impulse, and how large they are.
+"""Writes docs/reports/statistics.md: fragments against the impulse, and their size distribution.
 
 Four questions, for each shape:
 - Does the number of fragments rise with the impulse? Spearman's rank correlation with a bootstrap interval; a
@@ -27,11 +27,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from common import DATA, REFERENCE, ROOT, SPEEDS, fragment_volumes, shape_named, start, table, write_json, write_text
+from harness import (
+    DATA,
+    REFERENCE,
+    ROOT,
+    SPEEDS,
+    fragment_volumes,
+    row_of_axes,
+    save_figure,
+    shape_named,
+    start,
+    table,
+    write_json,
+    write_text,
+)
 
 from deepfracture.dataset import Dataset, Sample, SimulateOptions, open_dataset, simulate_collisions
 from deepfracture.fracture import material
-from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats
 
@@ -272,10 +284,7 @@ def _spearman(x: Floats, y: Floats) -> float:
 
 
 def _plot(collisions: Collisions, about: dict[str, Any], paper: dict[str, Floats], path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 3.6), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
+    figure, (left, middle, right) = row_of_axes(3, (12, 3.6))
     _scatter(left, collisions, collisions.count, "fragments", Correlation(**about["count_rises"]))
     what = "share of the volume near the hit in small ones"
     _scatter(middle, collisions, collisions.shattered, what, Correlation(**about["shattered_rises"]))
@@ -288,8 +297,7 @@ def _plot(collisions: Collisions, about: dict[str, Any], paper: dict[str, Floats
     right.set(xscale="log", yscale="log", ylim=(2e-3, 1.3), xlabel="V / V_mean", ylabel="share of fragments larger")
     right.legend(frameon=False, fontsize=8)
     figure.suptitle(collisions.name)
-    with atomic_file(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    save_figure(figure, path)
 
 
 def _scatter(axes: Axes, collisions: Collisions, values: Floats, what: str, found: Correlation) -> None:

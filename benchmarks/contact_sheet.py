@@ -1,4 +1,4 @@
-"""The contact sheet: what breaks look like, five hits on each of several shapes, beside FractureRB's.
+"""Draws docs/images/contact_sheet.png: five hits on each of several shapes, beside FractureRB's.
 
 Every hit is simulated once and kept, its picture and its figures, in the folder --out; run again to go on, and use
 another folder once the simulator has changed. The balls of a row come faster and faster, one speed drawn from each
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from common import DATA, REFERENCE, ROOT, SPEEDS, kept, shape_named, start, throw
+from harness import DATA, REFERENCE, ROOT, SPEEDS, kept, shape_named, start, throw
 
 from deepfracture.carve import cut
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate

@@ -1,4 +1,4 @@
-"""Meshes that are closed solids, but unkind: triangles without area, slivers, half a million faces, thin legs."""
+"""Difficult closed solids: triangles of zero area, slivers, half a million faces, thin legs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Evaluations of several shapes in one table and one plot: the mean score of every source over the shapes.
+"""Summary of docs/reports/evaluation.md: the mean score of every source over several shapes, table and plot.
 
 Reads what `deepfracture evaluate` wrote. The 95 % intervals are those of a bootstrap over collisions and draws, each
 shape's for itself. A source that is missing for a shape has no mean.
@@ -13,12 +13,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from common import ROOT, start, table, write_json, write_text
+from harness import ROOT, row_of_axes, save_figure, start, table, write_json, write_text
 
 from deepfracture.compare import MEASURES
 from deepfracture.evaluate import Evaluation, Interval, Summary, load_evaluation, score_samples, summarise
 from deepfracture.evaluate.plots import COLOURS, INK
-from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats
 
 BASELINE = "nearest"
@@ -96,10 +95,7 @@ def report(
 
 def plot(summaries: Mapping[str, Mapping[str, Summary]], found: Mapping[str, Interval], path: Path) -> None:
     """The score of every source on every shape, and the mean."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 0.8 + 0.32 * len(found)), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = row_of_axes(1, (9, 0.8 + 0.32 * len(found)))
     rows = np.arange(len(found))
     for number, (shape, of) in enumerate(summaries.items()):
         marks = [of[name].score.value for name in found]
@@ -115,8 +111,7 @@ def plot(summaries: Mapping[str, Mapping[str, Summary]], found: Mapping[str, Int
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.legend(frameon=False, fontsize=8)
-    with atomic_file(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    save_figure(figure, path)
 
 
 def _common(samples: Mapping[str, Mapping[str, Floats]]) -> list[str]:

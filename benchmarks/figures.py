@@ -1,4 +1,4 @@
-"""The figures of "How it works": what happens between a blow and its fragments, drawn from our own data.
+"""Draws the figures of docs/explanation/how_it_works.md: from an impact to its fragments, on our own data.
 
     python benchmarks/figures.py
 
@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from common import ROOT, start
+from harness import ROOT, exploded_view, row_of_axes, save_figure, start
 from numpy.typing import NDArray
 
 import deepfracture as df
@@ -25,13 +24,13 @@ from deepfracture.fracture import simulate as fracture
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import Model, embedded_model, load_model, predict
 from deepfracture.learn.partition import network
-from deepfracture.render.picture import exploded
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 from deepfracture.types import Floats, Fragments, Grid, Impact, Shape, Volume
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SHAPE, MATERIAL = "pot", "plaster"
 POINT, DIRECTION = (3.0, 0.0, 0.15), (-1.0, 0.0, -0.1)
@@ -67,8 +66,7 @@ def figures(
     for name in only or FIGURES:
         figure = FIGURES[name](shape, resolution, view)
         path = out / f"{name}.png"
-        with atomic_file(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=dpi)
+        save_figure(figure, path, dpi)
         _fewer_colours(path)
         log.warning("%s: %.0f kB", path.name, path.stat().st_size / 1e3)
         done.append(path)
@@ -175,11 +173,8 @@ def _views(shape: Shape, patterns: list[df.FracturePattern], names: list[str], v
     return figure
 
 
-def _row(count: int) -> tuple[Any, list[Axes]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(3.1 * count, 3.3), layout="constrained")
-    return figure, list(np.atleast_1d(figure.subplots(1, count)))
+def _row(count: int) -> tuple[Figure, list[Axes]]:
+    return row_of_axes(count, (3.1 * count, 3.3))
 
 
 def _titles(axes: list[Axes], names: list[str] | tuple[str, ...]) -> None:
@@ -236,13 +231,7 @@ def _memory(axis: Axes, model: Model, rows: Floats | NDArray, random: NDArray) -
 
 
 def _exploded(fragments: Fragments, shape: Shape, size: tuple[int, int]) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "view.png"
-        exploded(fragments, path, shape=shape, size=size, azimuth=-40.0, factor=0.35)
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
+    return exploded_view(fragments, shape, size, azimuth=-40.0, factor=0.35)
 
 
 def _fewer_colours(path: Path) -> None:

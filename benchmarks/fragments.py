@@ -1,4 +1,4 @@
-"""Fragments: random fields of many kinds cut out of every shape, each set checked against what must hold.
+"""Random label fields of many kinds cut out of every shape, each set of fragments checked.
 
 For every field: no crash; every fragment is one closed 2-manifold solid without self-intersection; the volumes add up;
 the outside is the original's; each inner face has its mirror image in one neighbour. See
@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import DATA, ROOT, SPEEDS, kept, start, table, throw, write_json, write_text
 from degenerate import DEGENERATE
+from harness import DATA, ROOT, SPEEDS, kept, mesh_files, start, table, throw, write_json, write_text
 
 from deepfracture.carve import cut, encode, segment, voronoi_pattern
 from deepfracture.dataset import Dataset, open_dataset
@@ -38,7 +38,6 @@ from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Ints, Shape, Volume
 from deepfracture.validation.fragments import FragmentReport, check_fragments
 
-FILES = ("*.obj", "*.stl", "*.ply", "*.off")
 HEAD = ("shape", "faces", "fields", "failed", "fragments min/median/max", "volume error",
         "lowest altitude [voxels] min/5 %/median", "low faces", "outside [m]", "ms median/99 %")  # fmt: skip
 KIND_HEAD = ("kind", "fields", "failed", "fragments median/max", "lowest altitude [voxels] min/5 %/median",
@@ -213,8 +212,7 @@ def shapes_by_name(data: Path) -> dict[str, Callable[[], tuple[Shape, str]]]:
 
     made: dict[str, Callable[[], tuple[Shape, str]]] = {}
     made.update({name: lambda name=name: (load_shape(name), "built in") for name in BUILTIN})
-    files = sorted(path for pattern in FILES for path in data.glob(pattern))
-    made.update({path.stem: lambda path=path: opened(path) for path in files})
+    made.update({name: lambda path=path: opened(path) for name, path in mesh_files(data).items()})
     made.update({name: lambda make=make: (make(), "degenerate") for name, make in DEGENERATE.items()})
     return made
 

@@ -1,4 +1,4 @@
-"""Fuzzing of every reader: whatever bytes a file holds, reading it gives an object or one line that says why not.
+"""Table of docs/reports/untrusted_input.md: fuzzing of every reader, which returns an object or a one-line error.
 
     python benchmarks/fuzz.py --minutes 30 --log fuzz.json
 
@@ -34,7 +34,7 @@ from typing import Any
 
 import hostile_files as plain
 import numpy as np
-from common import start, table, write_json, write_text
+from harness import start, table, write_json, write_text
 
 from deepfracture.types import BadInput
 

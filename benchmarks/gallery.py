@@ -1,4 +1,4 @@
-"""The pictures of docs/index.md: shapes, materials and ways of breaking, by our own program and rasteriser.
+"""Draws the pictures of docs/index.md: shapes, materials and breakers, by our own software renderer.
 
     python benchmarks/gallery.py            # what is not there yet
     python benchmarks/gallery.py --only bowl-glass --again
@@ -11,17 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from common import DATA, ROOT, shape_named, start, throw
 from contact_sheet import azimuth_of
+from harness import DATA, ROOT, exploded_view, shape_named, start, throw
 from numpy.typing import NDArray
 
 import deepfracture as df
 from deepfracture.recording.motion import break_frame, exists, pose
 from deepfracture.render.camera import Camera, frame_points
-from deepfracture.render.picture import exploded
 from deepfracture.render.studio import RecordingStudio
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
@@ -131,7 +129,7 @@ def draw(plate: Plate, shape: Shape, size: tuple[int, int], path: Path) -> bool:
         fragments = breaker(shape, hit.impact, hit.rng)
         if fragments is None:
             return False
-        picture = _exploded(fragments, shape, size, azimuth_of(hit.impact))
+        picture = exploded_view(fragments, shape, size, azimuth=azimuth_of(hit.impact), factor=0.4)
         count = len(fragments)
     else:
         up = "y" if plate.shape in LYING else "z"
@@ -179,15 +177,6 @@ def save_jpeg(picture: NDArray[np.uint8], path: Path) -> None:
 
     with atomic_file(path) as temporary:
         Image.fromarray(picture).save(temporary, format="JPEG", quality=QUALITY, optimize=True, progressive=True)
-
-
-def _exploded(fragments: df.Fragments, shape: Shape, size: tuple[int, int], azimuth: float) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    with TemporaryDirectory() as folder:
-        exploded(fragments, Path(folder) / "still.png", shape=shape, factor=0.4, size=size, azimuth=azimuth)
-        with Image.open(Path(folder) / "still.png") as picture:
-            return np.asarray(picture.convert("RGB"))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Held-out collisions to look at: what the simulator did, what it did with other weak places, what a model predicts."""
+"""Pictures of held-out collisions: simulated, simulated again with another draw of the material, and predicted."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from common import ROOT, start
 from contact_sheet import azimuth_of, grid_of, save
+from harness import ROOT, start
 
 from deepfracture.breakers import PatternSource, ways
 from deepfracture.carve import cut

@@ -1,4 +1,4 @@
-"""Mesh files that lie: cut off, mis-named, with counts, lengths and paths that are not true."""
+"""Malformed mesh files: truncated, misnamed, with false counts, lengths and paths."""
 
 from __future__ import annotations
 

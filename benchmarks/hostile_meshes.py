@@ -1,4 +1,4 @@
-"""What happens to meshes that nobody should send: broken correctly, mended and then broken, or refused with a reason.
+"""Writes docs/reports/hostile_meshes.md: each mesh is broken correctly, repaired and broken, or refused with a reason.
 
 Each case is written to a file, loaded as it is and with repair, and broken by the Voronoi breaker on a coarse grid, in
 a process of its own that is stopped where it takes too long or too much memory. docs/reports/hostile_meshes.md
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from common import ROOT, start, table, write_text
+from harness import ROOT, start, table, write_text
 from hostile_files import File, files, ply
 from hostile_solids import cube, solids
 

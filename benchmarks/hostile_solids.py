@@ -1,4 +1,4 @@
-"""Meshes that nobody should send: each class a few, made by formulas from seeds."""
+"""Hostile meshes, a few of each class, generated from seeds."""
 
 from __future__ import annotations
 

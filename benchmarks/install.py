@@ -1,4 +1,4 @@
-"""What an installation weighs and takes: the wheel into empty environments of any Pythons, a pot broken there.
+"""Tables of docs/guide/install.md: size and time of installing the wheel into empty environments, and a first break.
 
     python benchmarks/install.py --pythons python3.10 python3.13
     python benchmarks/install.py --extras render play
@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common import ROOT, start, table, write_text
+from harness import ROOT, start, table, write_text
 
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput

@@ -1,4 +1,4 @@
-"""What more learning data is worth: held-out score against the number of training patterns.
+"""Part of docs/reports/evaluation.md: held-out score against the number of training patterns.
 
 The network remembers its patterns nearly perfectly: `learned` and `no network` score alike in
 docs/reports/evaluation.md. So the choice among stored patterns is measured, with random codes in place of learnt ones,
@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from common import ROOT, start, table, write_text
+from harness import ROOT, row_of_axes, save_figure, start, table, write_text
 
 from deepfracture.breakers import PatternSource, recall
 from deepfracture.breakers.recalled import Memory
@@ -23,7 +23,6 @@ from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
 from deepfracture.learn import Normaliser
 from deepfracture.learn.partition.selector import Choice, fit, mean_distance
-from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
 from deepfracture.types import BadInput, FracturePattern, Impact, Shape
 
@@ -110,10 +109,7 @@ def sources(train: Dataset, sizes: Sequence[int]) -> dict[str, PatternSource]:
 
 
 def plot(sizes: Sequence[int], found: dict[str, Interval], path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.5, 3.6), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = row_of_axes(1, (5.5, 3.6))
     for kind in ("nearest", "typical"):
         of = [found[f"{kind} of {size}"] for size in sizes]
         axes.fill_between(sizes, [one.low for one in of], [one.high for one in of], alpha=0.15)
@@ -122,8 +118,7 @@ def plot(sizes: Sequence[int], found: dict[str, Interval], path: Path) -> None:
     axes.set(xlabel="training patterns", ylabel="score (mean of 8 measures)", xscale="log")
     axes.set_xticks(sizes, [str(size) for size in sizes])
     axes.legend()
-    with atomic_file(path) as scratch:
-        figure.savefig(scratch, format="png", dpi=130)
+    save_figure(figure, path, 130)
 
 
 def _cell(interval: Interval) -> str:

@@ -1,18 +1,17 @@
-"""The exported graph beside our own prediction and torch's, in one run: milliseconds from an impulse to labels.
+"""Table of docs/reference/onnx.md: milliseconds from an impulse to labels: our prediction, torch and onnxruntime.
 
 python benchmarks/onnx_speed.py --names pot bunny
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from common import start, table, write_text
+from harness import quickest, start, table, write_text
 
 from deepfracture.learn import Model, embedded_model, load_model, predict
 from deepfracture.learn.partition import network
@@ -20,20 +19,6 @@ from deepfracture.learn.partition.onnx import export_onnx, spline_matrix
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Impact
-
-WARM = 2
-"""Runs that do not count."""
-
-
-def quickest(job: Callable[[], object], runs: int) -> float:
-    """Milliseconds of the quickest of `runs`: the machine may be busy."""
-    times = []
-    for run in range(WARM + runs):
-        begun = time.perf_counter()
-        job()
-        if run >= WARM:
-            times.append(time.perf_counter() - begun)
-    return 1000 * min(times)
 
 
 def random_hit(model: Model, rng: np.random.Generator) -> Impact:

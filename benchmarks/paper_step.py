@@ -1,18 +1,17 @@
-"""What one step of training and one prediction of the paper's full network cost on this machine.
+"""Cost of a training step and of a prediction of the paper's full network on this machine.
 
     python benchmarks/paper_step.py [--resolution 128] [--width 1] [--device auto] [--steps 2]
 
-The network has 47 million weights at r = 128. Random fields serve: the cost does not depend on what is learned.
+The network has 47 million weights at r = 128. Random fields serve, as the cost does not depend on the data.
 """
 
 from __future__ import annotations
 
-import argparse
-import logging
 import time
 
 import numpy as np
 import torch  # noqa: TID253  (a program, not a room)
+from harness import start
 
 from deepfracture.learn.distributed import pick_device
 from deepfracture.learn.published import preset
@@ -22,28 +21,31 @@ from deepfracture.runtime.memory import peak_mb
 from deepfracture.runtime.progress import log
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--resolution", type=int, default=128)
-    parser.add_argument("--width", type=float, default=1.0)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--steps", type=int, default=2)
-    asked = parser.parse_args()
-    device = pick_device(asked.device)
-    precision = faster_precision(device)
-    config = preset("paper", width=asked.width).at(asked.resolution)
-    network = prepared(build(config, np.zeros(0, np.float32)), device)
+def paper_step(resolution: int = 128, width: float = 1.0, device: str = "auto", steps: int = 2) -> None:
+    """Time training steps and a prediction on random fields.
+
+    Args:
+        resolution: voxels along each axis.
+        width: share of the paper's channels.
+        device: as `deepfracture train` takes it.
+        steps: training steps.
+    """
+    log.setLevel("INFO")
+    chosen = pick_device(device)
+    precision = faster_precision(chosen)
+    config = preset("paper", width=width).at(resolution)
+    network = prepared(build(config, np.zeros(0, np.float32)), chosen)
     optimiser = torch.optim.Adam([p for p in network.parameters() if p.requires_grad], lr=3e-3, fused=True)
-    code = torch.randn(1, config.code_size, device=device)
-    truth = torch.rand((1, *(asked.resolution,) * 3), device=device)
+    code = torch.randn(1, config.code_size, device=chosen)
+    truth = torch.rand((1, *(resolution,) * 3), device=chosen)
     log.info(
         "r = %d, %.2f M weights, %s, %s, %d threads",
-        asked.resolution, sum(p.numel() for p in network.parameters()) / 1e6, device, precision,
+        resolution, sum(p.numel() for p in network.parameters()) / 1e6, chosen, precision,
         torch.get_num_threads(),
     )  # fmt: skip
-    for step in range(asked.steps):
+    for step in range(steps):
         start = time.perf_counter()
-        with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bfloat16"):
+        with torch.autocast(chosen.type, torch.bfloat16, enabled=precision == "bfloat16"):
             (field,) = network(code)
         loss = ((field - truth) ** 2).mean()
         optimiser.zero_grad(set_to_none=True)
@@ -57,5 +59,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    main()
+    start(paper_step)

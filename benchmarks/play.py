@@ -1,4 +1,4 @@
-"""What the page of `deepfracture play` costs, seen from the other end of its connection, as a browser would.
+"""Tables of docs/guide/play.md: cost of the page of `deepfracture play`, measured by a client in place of a browser.
 
 python benchmarks/play.py --what latency stream page load crowd memory
 """
@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, start
+from harness import ROOT, start
 
 from deepfracture.learn import embedded_model
 from deepfracture.play import Options, page

@@ -1,4 +1,4 @@
-"""Where the time of the three slowest things goes, by function; writes docs/reports/profiles.md.
+"""Writes docs/reports/profiles.md: processor time of the three slowest jobs, by function.
 
 python benchmarks/profiles.py --shape pot
 """
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, start, table, write_text
+from harness import ROOT, start, table, write_text
 
 from deepfracture.bench import stamp
 from deepfracture.bench.fracture import empty_cache

@@ -1,4 +1,4 @@
-"""What a fracture pattern loses on its way through a GS-SDF and back, by three ways of segmentation.
+"""Table of docs/explanation/cutting.md: loss of a fracture pattern encoded as a GS-SDF and segmented in three ways.
 
     python benchmarks/round_trip.py data/pot data/squirrel --out runs/round_trip
 
@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from common import DATA, REFERENCE, ROOT, shape_named, start, table, throw, write_text
+from harness import DATA, REFERENCE, ROOT, shape_named, start, table, throw, write_text
 from scipy.ndimage import distance_transform_edt, find_objects, gaussian_filter
 
 from deepfracture.carve import encode, segment, segment_as_published

@@ -55,8 +55,8 @@ def test_contact_sheet_draws_every_hit_once(tmp_path: Path) -> None:
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
 
 
-def test_trust_runs_a_case_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    from trust import run_case, summary
+def test_hit_checks_run_a_case_and_resume(tmp_path: Path) -> None:
+    from hit_checks import run_case, summary
 
     run_case("bar", tmp_path, 1, 32, "plaster", (4.0, 25.0), 0, tmp_path)
     first = (tmp_path / "bar" / "000.json").read_text()
@@ -70,8 +70,8 @@ def test_trust_runs_a_case_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert "only 2 of 3 hits" in summary({"bar": case}, 3)
 
 
-def test_trust_refuses_an_open_mesh_in_one_line(tmp_path: Path) -> None:
-    from trust import run_case
+def test_hit_checks_refuse_an_open_mesh_in_one_line(tmp_path: Path) -> None:
+    from hit_checks import run_case
 
     data = tmp_path / "data"
     data.mkdir()
@@ -82,8 +82,8 @@ def test_trust_refuses_an_open_mesh_in_one_line(tmp_path: Path) -> None:
     assert "\n" not in body["refused"]
 
 
-def test_trust_sees_what_is_wrong() -> None:
-    from trust import fragment_failures, pattern_failures
+def test_hit_checks_see_what_is_wrong() -> None:
+    from hit_checks import fragment_failures, pattern_failures
 
     shape, pattern = builtin("bar"), halves()
     inside = signed_distance(shape.mesh, pattern.grid)
@@ -168,7 +168,7 @@ def test_rank_correlation_of_a_constant_is_zero() -> None:
 
 
 def test_hits_depend_on_seed_and_number_alone() -> None:
-    from common import throw
+    from harness import throw
 
     shape: Shape = builtin("bar")
     one, same, other = (throw(shape, PLASTER, n, seed=3, speed=(5.0, 6.0)) for n in (4, 4, 5))

@@ -414,7 +414,7 @@ def test_models_are_measured_without_their_parts(preset: str, held: Dataset, tra
 def test_more_data_and_curves(held: Dataset, train: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(BENCHMARKS)
     from more_data import more_data
-    from quality import read_curve
+    from training_curves import read_curve
 
     text = more_data(held.path, train.path, counts=(4, 10**6), draws=1, out=tmp_path / "more").read_text()
     assert "| 4 |" in text and f"| {len(train)} |" in text

@@ -1,22 +1,24 @@
-"""What a hit costs against boundary elements, resolution and cracks: writes the report and its pictures.
+"""Writes docs/reports/performance.md: the cost of a hit against boundary elements, resolution and cracks.
 
-    python benchmarks/cost.py ../shared/data/squirrel.obj
+    python benchmarks/performance.py ../shared/data/squirrel.obj
 
-takes some fifteen minutes on two cores that have nothing else to do. Any mesh file or built-in shape will do."""
+takes fifteen minutes on two idle cores. Any mesh file or built-in shape will do."""
 
 from __future__ import annotations
 
-import argparse
-import logging
 import os
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+import tyro
+from harness import ROOT, row_of_axes, save_figure, start, table, write_text
 
-from deepfracture.bench import Row, bench, table
+from deepfracture.bench import Row, bench
+from deepfracture.bench import table as bench_table
 from deepfracture.bench.fracture import MATERIAL, HitCost, empty_cache, hit_cost
 from deepfracture.bench.hits import SPEEDS, random_hits
 from deepfracture.bench.rows import share
@@ -27,7 +29,10 @@ from deepfracture.runtime.memory import peak_mb
 from deepfracture.runtime.progress import collect_stages, log
 from deepfracture.types import Grid, Shape
 
-DOCS = Path(__file__).parents[1] / "docs"
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 COUNTS = (500, 1000, 1500, 2000, 3000)
 """Boundary elements asked for."""
 RESOLUTIONS = (32, 64, 128, 256)
@@ -55,26 +60,26 @@ class Point:
     peak_mb: float
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Measure what a hit costs; write docs/reports/performance.md.")
-    parser.add_argument("shape", nargs="?", default="pot", help="a mesh file, or a built-in shape")
-    arguments = parser.parse_args()
-    logging.basicConfig(format="%(message)s")
-    shape, load = load_shape(arguments.shape), os.getloadavg()[0]
-    pictures = DOCS / "images" / "bench"
+def performance(shape: Annotated[str, tyro.conf.Positional] = "pot", docs: Path = ROOT / "docs") -> None:
+    """Measure what a hit costs; writes reports/performance.md and images/bench.
+
+    Args:
+        shape: a mesh file, or a built-in shape.
+        docs: folder of the documentation.
+    """
+    body, load = load_shape(shape), os.getloadavg()[0]
+    pictures = docs / "images" / "bench"
     pictures.mkdir(parents=True, exist_ok=True)
-    rows = bench("fracture", shape, RESOLUTION)
-    log.warning("%s", table(rows))
-    scatter = costs(prepare_body(shape, material(MATERIAL), Grid(RESOLUTION)), MANY, FAST)
-    elements, resolutions = against_elements(shape), against_resolution(shape)
+    rows = bench("fracture", body, RESOLUTION)
+    log.warning("%s", bench_table(rows))
+    scatter = costs(prepare_body(body, material(MATERIAL), Grid(RESOLUTION)), MANY, FAST)
+    elements, resolutions = against_elements(body), against_resolution(body)
     _draw_shares(rows, pictures / "shares.png")
     _draw_sizes(elements, "boundary elements", ("assembly and factor", "elastic stage"), pictures / "elements.png")
     _draw_sizes(resolutions, "voxels along an axis", ("distances", "fragments"), pictures / "resolution.png")
     _draw_cracks(scatter, pictures / "cracks.png")
-    _write(
-        DOCS / "reports" / "performance.md",
-        _page(Path(arguments.shape).name, shape, load, rows, scatter, elements, resolutions),
-    )
+    page = _page(Path(shape).name, body, load, rows, scatter, elements, resolutions)
+    write_text(docs / "reports" / "performance.md", page)
 
 
 def costs(body: FractureBody, count: int, speeds: tuple[float, float]) -> list[HitCost]:
@@ -111,23 +116,11 @@ def _point(size: float, set_up: float, hits: Sequence[HitCost], part: str) -> Po
     return Point(size, set_up, whole, float(np.median([hit.stages.get(part, 0.0) for hit in hits])), peak_mb())
 
 
-def _axes(x: str, y: str):
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(5.2, 3.6), layout="constrained")
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
+def _axes(x: str, y: str) -> tuple[Figure, Axes]:
+    figure, (axes,) = row_of_axes(1, (5.2, 3.6))
+    axes.set(xlabel=x, ylabel=y)
     axes.grid(alpha=0.3)
     return figure, axes
-
-
-def _save(figure, path: Path) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.png")
-    figure.savefig(temporary, dpi=120)
-    os.replace(temporary, path)
 
 
 def _draw_shares(rows: Sequence[Row], path: Path) -> None:
@@ -135,7 +128,7 @@ def _draw_shares(rows: Sequence[Row], path: Path) -> None:
     figure, axes = _axes("seconds of a median hit", "")
     names, spent = zip(*reversed(parts), strict=True)
     axes.barh(names, spent)
-    _save(figure, path)
+    save_figure(figure, path, 120)
 
 
 def _draw_sizes(points: Sequence[Point], x: str, names: tuple[str, str], path: Path) -> None:
@@ -147,7 +140,7 @@ def _draw_sizes(points: Sequence[Point], x: str, names: tuple[str, str], path: P
     axes.set_xticks(size, [f"{n:g}" for n in size])
     axes.minorticks_off()
     axes.legend()
-    _save(figure, path)
+    save_figure(figure, path, 120)
 
 
 def _draw_cracks(hits: Sequence[HitCost], path: Path) -> None:
@@ -155,7 +148,7 @@ def _draw_cracks(hits: Sequence[HitCost], path: Path) -> None:
     axes.plot([hit.cracks for hit in hits], [hit.seconds for hit in hits], "o")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
-    _save(figure, path)
+    save_figure(figure, path, 120)
 
 
 def _slope(x: Sequence[float], y: Sequence[float]) -> float:
@@ -174,19 +167,15 @@ def _machine() -> str:
     return f"{os.cpu_count()} cores ({platform.machine()}), {memory:.0f} GB, no GPU, Python {platform.python_version()}"
 
 
-def _points_table(points: Sequence[Point], head: tuple[str, str, str]) -> list[str]:
-    lines = [f"| {head[0]} | {head[1]} [s] | hit [s] | {head[2]} [s] | peak [MB] |", "|---|---|---|---|---|"]
-    return lines + [f"| {p.size:g} | {p.set_up:.2f} | {p.hit:.2f} | {p.part:.2f} | {p.peak_mb:.0f} |" for p in points]
+def _points_table(points: Sequence[Point], head: tuple[str, str, str]) -> str:
+    rows = [(f"{p.size:g}", *(f"{t:.2f}" for t in (p.set_up, p.hit, p.part)), f"{p.peak_mb:.0f}") for p in points]
+    return table((head[0], f"{head[1]} [s]", "hit [s]", f"{head[2]} [s]", "peak [MB]"), rows)
 
 
-def _rows_table(rows: Sequence[Row]) -> list[str]:
-    lines = ["| stage | seconds | share of a hit | peak [MB] |", "|---|---|---|---|"]
-    for row in rows:
-        part = share(row, rows)
-        lines.append(
-            f"| {row.stage} | {row.seconds:.3f} | {'' if part is None else f'{part:.0%}'} | {row.peak_mb:.0f} |"
-        )
-    return lines
+def _rows_table(rows: Sequence[Row]) -> str:
+    shares = {row: "" if (part := share(row, rows)) is None else f"{part:.0%}" for row in rows}
+    cells = [(row.stage, f"{row.seconds:.3f}", shares[row], f"{row.peak_mb:.0f}") for row in rows]
+    return table(("stage", "seconds", "share of a hit", "peak [MB]"), cells)
 
 
 def _page(
@@ -203,7 +192,7 @@ def _page(
             "# Performance",
             "",
             f"Measured on {_machine()}, by",
-            f"`python benchmarks/cost.py {file}`, which writes this page;",
+            f"`python benchmarks/performance.py {file}`, which writes this page;",
             f"{len(shape.mesh.faces)} triangles, {MATERIAL}, r = {RESOLUTION} and {ELEMENTS} boundary elements unless",
             "said otherwise. The kernels are compiled beforehand (`deepfracture warm`).",
             "`deepfracture bench` prints the same figures for your machine and shape; `make bench` records them in",
@@ -216,8 +205,7 @@ def _page(
             "The set-up belongs to the shape and is kept on disk. A hit is the median of random collisions at",
             f"{SPEEDS[0]:g} to {SPEEDS[1]:g} m/s: {whole.seconds:.2f} s.{theirs}",
             "",
-            *_rows_table(rows),
-            "",
+            _rows_table(rows),
             "![Seconds of each stage of a hit](../images/bench/shares.png)",
             "",
             "Stages inside another stage count in both. Peak memory is that of the process so far.",
@@ -226,16 +214,14 @@ def _page(
             "",
             f"Assembly and factor grow with N to the power {grown:.1f} over the two largest; a hit hardly notices.",
             "",
-            *_points_table(elements, ("elements", "assembly and factor", "elastic stage")),
-            "",
+            _points_table(elements, ("elements", "assembly and factor", "elastic stage")),
             "![Seconds against boundary elements](../images/bench/elements.png)",
             "",
             "## Against resolution",
             "",
             f"A hit grows with r to the power {wider:.1f} over the two largest: the lattice of stress stays as it is.",
             "",
-            *_points_table(lattices, ("r", "distances", "fragments")),
-            "",
+            _points_table(lattices, ("r", "distances", "fragments")),
             "![Seconds against resolution](../images/bench/resolution.png)",
             "",
             "## Against cracks",
@@ -249,11 +235,5 @@ def _page(
     )
 
 
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
-
-
 if __name__ == "__main__":
-    main()
+    start(performance)

@@ -1,4 +1,4 @@
-"""What happens when fragments are put in the place of what broke: momentum, energy, hulls and milliseconds.
+"""Tables of docs/explanation/body_replacement.md: momentum, energy, hulls and time when fragments replace a body.
 
 A ball hits a spinning shape in empty space. Momentum is that of the shape and the ball before the contact, and
 of the fragments and the ball once they are put in. The jump of a fragment is the kinetic energy that it gains
@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from common import DATA, MISSES, ROOT, SPEEDS, shape_named, start, table, write_text
+from harness import DATA, MISSES, ROOT, SPEEDS, row_of_axes, save_figure, shape_named, start, table, write_text
 
 from deepfracture.breakers import BreakerOptions, make_breaker
 from deepfracture.fracture import material
@@ -23,7 +23,6 @@ from deepfracture.geometry import MassProperties
 from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.learn import embedded_model
-from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, ContactMaterial, Floats, Fragments, Grid, Material, Shape
 from deepfracture.world import ENGINES, Scene, first_impact, single_ball_scene
 from deepfracture.world.collisions import CollisionEvent
@@ -56,7 +55,7 @@ class Break:
     fragments: Fragments
 
 
-def swap(
+def body_replacement(
     shapes: tuple[str, ...] = SHAPES,
     resolution: int = 64,
     data: Path = DATA,
@@ -250,10 +249,7 @@ def around(one: Break, made_of: Material, engine: str) -> Floats:
 
 def plot(one: Break, made_of: Material, engines: list[str], path: Path) -> None:
     """Energy, momentum and angular momentum against time around the swap."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 3.4), layout="constrained")
-    axes = figure.subplots(1, 3)
+    figure, axes = row_of_axes(3, (11, 3.4))
     for engine in engines:
         rows = around(one, made_of, engine)
         first = rows[0]
@@ -275,9 +271,8 @@ def plot(one: Break, made_of: Material, engines: list[str], path: Path) -> None:
     axes[2].axhline(1, color="0.6", linewidth=0.8, linestyle=":")
     axes[0].legend()
     figure.suptitle(f"{one.shape.name}: {len(one.fragments)} fragments ({one.breaker}) put in at 0 ms", fontsize=10)
-    with atomic_file(path) as scratch:
-        figure.savefig(scratch, format="png", dpi=120)
+    save_figure(figure, path, 120)
 
 
 if __name__ == "__main__":
-    start(swap)
+    start(body_replacement)

@@ -1,4 +1,4 @@
-"""Quality against time and size: what networks remember of their training patterns while they are trained.
+"""Quality against time and size: how well networks reconstruct their training patterns during training.
 
 Reads the run folders that `deepfracture train` made on one data set, whatever the preset.
 """
@@ -10,18 +10,17 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from common import ROOT, start, table, write_text
+from harness import ROOT, row_of_axes, save_figure, start, table, write_text
 
-from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput
 
 
-def quality(
+def training_curves(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
     /,
-    out: Path = ROOT / "runs" / "quality",
+    out: Path = ROOT / "runs" / "training_curves",
 ) -> Path:
-    """Draw the curves of several trainings; writes quality.md and quality.png.
+    """Draw the curves of several trainings; writes training_curves.md and training_curves.png.
 
     Args:
         runs: run folders, finished or not.
@@ -31,9 +30,9 @@ def quality(
         raise BadInput("runs: none given; make some with deepfracture train")
     curves = {run.name: read_curve(run) for run in runs}
     sizes = {run.name: size_of(run) for run in runs}
-    write_text(out / "quality.md", report(curves, sizes))
-    plot(curves, sizes, out / "quality.png")
-    return out / "quality.md"
+    write_text(out / "training_curves.md", report(curves, sizes))
+    plot(curves, sizes, out / "training_curves.png")
+    return out / "training_curves.md"
 
 
 def read_curve(run: Path) -> list[dict[str, float]]:
@@ -64,14 +63,11 @@ def report(curves: dict[str, list[dict[str, float]]], sizes: dict[str, float]) -
         for name, last in ((name, curve[-1]) for name, curve in curves.items())
     ]  # fmt: skip
     heads = ["run", "seconds", "epochs", "L2 [m^2]", "memory [bits]", "ceiling [bits]", "count error", "MB"]
-    return f"# Quality against time and size\n\n{table(heads, rows)}\n\n![quality.png](quality.png)\n"
+    return f"# Quality against time and size\n\n{table(heads, rows)}\n\n![training_curves.png](training_curves.png)\n"
 
 
 def plot(curves: dict[str, list[dict[str, float]]], sizes: dict[str, float], path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = row_of_axes(2, (9, 3.6))
     for name, curve in curves.items():
         seconds = [point["seconds"] for point in curve]
         label = f"{name} ({sizes[name]:.1f} MB)"
@@ -81,9 +77,8 @@ def plot(curves: dict[str, list[dict[str, float]]], sizes: dict[str, float], pat
     right.set(xlabel="training [s]", ylabel="memory above its ceiling [bits]", ylim=(0, None))
     right.axhline(0.15, color="0.6", linewidth=0.8)
     right.legend(fontsize=8)
-    with atomic_file(path) as scratch:
-        figure.savefig(scratch, format="png", dpi=130)
+    save_figure(figure, path, 130)
 
 
 if __name__ == "__main__":
-    start(quality)
+    start(training_curves)

@@ -1,4 +1,4 @@
-"""Trust: many random hits on many shapes, each result checked against what must always hold.
+"""Random hits on many shapes by the fracture simulator, each pattern and its fragments checked.
 
 For every hit: no crash; the pattern's labels fill the shape exactly and none is empty; its cracks do not leak (the cut
 gives at least as many fragments as the pattern has labels); every fragment is closed, manifold and of positive
@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import DATA, ROOT, SPEEDS, kept, start, table, throw, write_json, write_text
 from degenerate import DEGENERATE
+from harness import DATA, ROOT, SPEEDS, kept, mesh_files, start, table, throw, write_json, write_text
 
 from deepfracture.carve import cut
 from deepfracture.carve.cutting.cut import DUST_VOXELS
@@ -36,11 +36,10 @@ ON_SURFACE = 1e-6
 """A voxel centre nearer to the surface than this may count as either side [m]: float32 noise at unit scale."""
 VOLUME_TOLERANCE = 2e-3
 """Of the sum of the fragments' volumes against the mesh's."""
-FILES = ("*.obj", "*.stl", "*.ply", "*.off")
 HEAD = ("shape", "faces", "hits", "broke", "fragments min/median/max", "worst volume error", "s median/max", "failures")
 
 
-def trust(
+def hit_checks(
     shapes: tuple[str, ...] = (),
     hits: int = 20,
     resolution: int = 64,
@@ -49,9 +48,9 @@ def trust(
     workers: int = 2,
     seed: int = 0,
     data: Path = DATA,
-    out: Path = ROOT / "runs" / "trust",
+    out: Path = ROOT / "runs" / "hit_checks",
 ) -> Path:
-    """Hit every shape at random and check what comes of it; writes trust.json and trust.md into --out.
+    """Hit every shape at random and check what comes of it; writes hit_checks.json and hit_checks.md into --out.
 
     Args:
         shapes: only these cases: built-in names, file stems of --data, degenerate cases; all if none is named.
@@ -75,19 +74,18 @@ def trust(
         for job in track(as_completed(jobs), name="shapes", total=len(jobs)):
             job.result()
     rows = {name: _read(folder / name, hits) for name in names}
-    write_json(out / "trust.json", rows)
+    write_json(out / "hit_checks.json", rows)
     text = summary(rows, hits)
-    write_text(out / "trust.md", text)
+    write_text(out / "hit_checks.md", text)
     log.warning("%s", text)
-    return out / "trust.json"
+    return out / "hit_checks.json"
 
 
 def cases(data: Path) -> dict[str, Callable[[], Shape]]:
     """What makes each shape: built in, degenerate, and every mesh file of the folder `data`."""
     made: dict[str, Callable[[], Shape]] = {name: lambda name=name: load_shape(name) for name in BUILTIN}
     made.update(DEGENERATE)
-    files = sorted(path for pattern in FILES for path in data.glob(pattern))
-    made.update({path.stem: lambda path=path: load_shape(str(path)) for path in files})
+    made.update({name: lambda path=path: load_shape(str(path)) for name, path in mesh_files(data).items()})
     return made
 
 
@@ -227,4 +225,4 @@ def _read(folder: Path, hits: int) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    start(trust)
+    start(hit_checks)

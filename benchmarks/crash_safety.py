@@ -1,6 +1,6 @@
-"""kill -9 at random moments of simulate, train, shatter --out and what play saves: is anything lost, is anything left?
+"""Table of docs/reports/crash_safety.md: kill -9 at random moments of simulate, train, shatter and of saving in play.
 
-    python benchmarks/kills.py --kills 100 --text docs/reports/kills.md
+    python benchmarks/crash_safety.py --kills 100 --text crash_safety.md
 
 Each command is run undisturbed once. Then it is killed again and again, each time at a moment drawn evenly from the
 time that it took, every second time with all its processes, else its first process alone. After each kill
@@ -34,7 +34,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from common import start, table, write_json, write_text
+from harness import start, table, write_json, write_text
 
 from deepfracture.cli import main
 

@@ -1,4 +1,7 @@
-"""What the benchmark programs share: shapes by name, random hits, results kept on disk, the way they start."""
+"""Harness of the benchmark programs: command line, shapes and random hits, cached results, tables, figures.
+
+A program is one typed function that `start` puts on the command line. What users may want is a command of deepfracture
+(`bench`, `soak`, `validate`); the programs here write pages of docs/ or check the program on a developer's machine."""
 
 from __future__ import annotations
 
@@ -9,26 +12,33 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from deepfracture.bench.hits import SPEEDS as SPEEDS
+from deepfracture.bench.rows import seconds
 from deepfracture.geometry import load_shape
-from deepfracture.runtime.files import atomic_file
+from deepfracture.render.picture import exploded
+from deepfracture.runtime.files import atomic_file, scratch_folder
 from deepfracture.runtime.progress import log
-from deepfracture.types import BadInput, FracturePattern, Impact, Ints, Material, Shape
+from deepfracture.types import BadInput, FracturePattern, Fragments, Impact, Ints, Material, Shape
 from deepfracture.world import first_impact, single_ball_scene
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 ROOT = Path(__file__).parents[1]
-"""The repository."""
+"""Root of the repository."""
 DATA = ROOT.parent / "shared" / "data"
-"""Real meshes, which are no part of the repository."""
+"""Meshes that are not part of the repository."""
 REFERENCE = ROOT.parent / "shared" / "reference"
-"""What FractureRB gave."""
+"""Results of FractureRB (Hahn and Wojtan 2016)."""
 MISSES = 50
-"""Balls thrown in vain before a shape counts as impossible to hit."""
-SPEEDS = (5.0, 30.0)
-"""Slowest and fastest ball [m/s] of the learning scene."""
+"""Consecutive misses after which a shape counts as impossible to hit."""
+MESH_FILES = ("*.obj", "*.stl", "*.ply", "*.off")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +49,7 @@ class Hit:
     seed: int
     """`np.random.default_rng(seed)` draws the material after it has drawn the scene, as in a data set."""
     rng: np.random.Generator
-    """In the state in which the fracture simulator gets it."""
+    """In the state in which the fracture simulator receives it."""
 
 
 def throw(
@@ -82,19 +92,24 @@ def fragment_volumes(pattern: FracturePattern) -> tuple[np.ndarray, np.ndarray]:
     return counts[there] * pattern.grid.spacing**3, centres
 
 
+def mesh_files(folder: Path) -> dict[str, Path]:
+    """The mesh files of a folder by their stem, in order of name."""
+    return {path.stem: path for path in sorted(path for pattern in MESH_FILES for path in folder.glob(pattern))}
+
+
 def write_json(path: Path, value: Any) -> None:
-    """Write `value` whole or not at all."""
+    """Write `value` atomically."""
     write_text(path, json.dumps(value, indent=1, default=_plain) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` whole or not at all."""
+    """Write `text` atomically."""
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """The result in the file `path`; where it is not there yet, `make` it and keep it."""
+    """The result stored in `path`; `make` computes and stores it where it is missing, so that a rerun resumes."""
     if not path.is_file():
         write_json(path, make())
     return json.loads(path.read_text(encoding="utf-8"))
@@ -106,8 +121,39 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
 
 
+def quickest(job: Callable[[], object], runs: int) -> float:
+    """Milliseconds of the quickest of `runs` calls after two that do not count."""
+    return 1000 * min([seconds(job) for _ in range(2 + runs)][2:])
+
+
+def row_of_axes(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """A figure of `size` [inch] with `count` axes side by side, drawn without a display."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, list(np.atleast_1d(figure.subplots(1, count)))
+
+
+def save_figure(figure: Figure, path: Path, dpi: int = 110) -> None:
+    """Write a PNG atomically."""
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=dpi)
+
+
+def exploded_view(
+    fragments: Fragments, shape: Shape, size: tuple[int, int], *, azimuth: float, factor: float
+) -> NDArray[np.uint8]:
+    """An exploded view as pixels, shape (height, width, 3)."""
+    from PIL import Image
+
+    with scratch_folder() as folder:
+        exploded(fragments, folder / "view.png", shape=shape, size=size, azimuth=azimuth, factor=factor)
+        with Image.open(folder / "view.png") as picture:
+            return np.asarray(picture.convert("RGB"))
+
+
 def start(program: Callable[..., Any]) -> None:
-    """Run a typed function from the command line; a bad value ends it in one line."""
+    """Run a typed function from the command line; invalid input ends it with one line."""
     import tyro
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
