@@ -24,7 +24,7 @@ from degenerate import DEGENERATE
 from harness import DATA, ROOT, SPEEDS, kept, mesh_files, start, table, throw, write_json, write_text
 
 from deepfracture.carve import cut
-from deepfracture.carve.cutting.cut import DUST_VOXELS
+from deepfracture.carve.cutting.cut import SMALLEST_VOXELS
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
 from deepfracture.geometry import BUILTIN, faults, load_shape, signed_distance
 from deepfracture.geometry.topology import split_pinches
@@ -153,7 +153,7 @@ def pattern_failures(pattern: FracturePattern, inside: np.ndarray) -> list[str]:
         (empty, f"{empty} voxels inside without a label"),
         (beyond, f"{beyond} labelled voxels outside"),
         ((sizes == 0).any(), f"{(sizes == 0).sum()} empty labels"),
-        (_specks(sizes), f"{_specks(sizes)} labels of fewer than {DUST_VOXELS} voxels, which no fragment can have"),
+        (_specks(sizes), f"{_specks(sizes)} labels of fewer than {SMALLEST_VOXELS} voxels, which no fragment can have"),
         (pattern.count < 2, "a crack pattern of one label"),
     ]
     return [text for wrong, text in found if wrong]
@@ -179,7 +179,7 @@ def fragment_failures(shape: Shape, pattern: FracturePattern, pieces: Fragments)
 
 def _specks(sizes: np.ndarray) -> int:
     """Labels too small for `cut` to make a fragment of; `sizes` in voxels."""
-    return int(((sizes > 0) & (sizes < DUST_VOXELS)).sum())
+    return int(((sizes > 0) & (sizes < SMALLEST_VOXELS)).sum())
 
 
 def summary(rows: dict[str, dict[str, Any]], hits: int) -> str:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfracture.carve import coarsened, cut
+from deepfracture.carve import decimated, cut
 from deepfracture.fracture import breaks
 from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Fragments, Impact, Material, Shape
@@ -42,5 +42,5 @@ class PatternBreaker:
             fragments = cut(shape, pattern, density=self.material.density, roughness=roughness)
         if self.max_faces is not None:
             with stage("coarsen"):
-                fragments = coarsened(fragments, self.max_faces)
+                fragments = decimated(fragments, self.max_faces)
         return fragments if len(fragments) > 1 else None  # what the pattern parts may be dust to the mesh

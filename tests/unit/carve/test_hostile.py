@@ -1,6 +1,6 @@
 """Fields and labels that nobody should send: one clear line, or a body that is still whole or rightly parted.
 
-docs/explanation/cutting.md has the table of what is promised."""
+docs/carving.md has the table of what is promised."""
 
 from __future__ import annotations
 

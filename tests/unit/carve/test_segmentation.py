@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from deepfracture.carve import segment
-from deepfracture.carve.segmentation.segment import CAGE
+from deepfracture.carve.segmentation.segment import BAND
 from deepfracture.carve.segmentation.watershed import BUCKETS
 from deepfracture.types import Grid, Volume
 from deepfracture.voxels import components_of_at_least, cut_faces
@@ -25,7 +25,7 @@ FACES = 6
 def plain_flood(volume: Volume, tolerance: float, min_voxels: int) -> np.ndarray:
     """`segment` without cuts as its documentation says it: every voxel in turn, from the highest down."""
     heights = np.pad(volume.values / np.float32(volume.grid.spacing), 1, constant_values=-np.inf)
-    lowest = -CAGE / volume.grid.spacing
+    lowest = -BAND / volume.grid.spacing
     members = np.flatnonzero(heights.ravel() > lowest)
     shape, flat = heights.shape, heights.ravel()
     top = float(flat.max())

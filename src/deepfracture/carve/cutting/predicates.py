@@ -1,4 +1,4 @@
-"""On which side of a plane a point lies: filtered floats, then double-double (Shewchuk 1997; Dekker 1971)."""
+"""Orientation of four points: filtered floats, then double-double (Shewchuk 1997; Dekker 1971)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ SPLITTER = 2.0**27 + 1
 
 
 @njit(cache=True)
-def side(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
-    """Sign of (b - a) x (c - a) . (d - a): 1 if d lies above the plane through a, b, c, which turn to the left
-    seen from above; -1 below; 0 if the points are coplanar as far as double-double can tell."""
+def orient3d(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
+    """Sign of (b - a) x (c - a) . (d - a): 1 if d lies above the plane through a, b, c, which turn to the left seen
+    from above; -1 below; 0 if the points are coplanar as far as double-double can tell."""
     ux, uy, uz, vx, vy, vz, wx, wy, wz = ax - dx, ay - dy, az - dz, bx - dx, by - dy, bz - dz, cx - dx, cy - dy, cz - dz
     vw, wv, wu, uw, uv, vu = vx * wy, wx * vy, wx * uy, ux * wy, ux * vy, vx * uy
     determinant = uz * (vw - wv) + vz * (wu - uw) + wz * (uv - vu)
@@ -28,8 +28,8 @@ def side(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
 
 
 @njit(cache=True)
-def volume(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
-    """(b - a) x (c - a) . (d - a), right to the last digits of a float but where it all but vanishes."""
+def orient3d_value(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz):
+    """(b - a) x (c - a) . (d - a), accurate to the last digits of a float unless it all but vanishes."""
     return -_fine(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deepfracture.carve.segmentation.segment import CAGE
+from deepfracture.carve.segmentation.segment import BAND
 from deepfracture.carve.segmentation.watershed import BUCKETS
 from deepfracture.geometry.disjoint_sets import find
 from deepfracture.geometry.sampled import FAR
@@ -16,17 +16,17 @@ DEPTH = 0.04
 
 
 def segment_as_published(volume: Volume, *, tolerance: float = DEPTH) -> FracturePattern:
-    """Caged segmentation of a GS-SDF as the paper does it; `segment` loses less.
+    """Segmentation of a GS-SDF as the paper does it; `segment` loses less.
 
-    Its maxima are the extended ones: a region keeps its own label when its peak rises above the pass to a higher
-    one by at least `tolerance`, in metres, whatever the size of the fragment. A watershed from them labels the rest:
-    a voxel goes to the region of its highest neighbour across a face. The band of values above -CAGE takes part; the
-    labels end at the zero level. What the volume knows about cuts is left aside, as the paper has none.
+    Its maxima are the extended ones: a region keeps its own label when its peak rises above the pass to a higher one by
+    at least `tolerance`, in metres, whatever the size of the fragment. A watershed from them labels the rest: a voxel
+    goes to the region of its highest neighbour across a face. The band of values above -BAND takes part; the labels end
+    at the zero level. The volume's cut faces are ignored, as the paper has none.
 
-    The paper runs a reconstruction, then a flood (MorphoLibJ). A union-find forest that takes the voxels from the
-    highest down merges and labels in one pass and finds the same regions: the persistence of a maximum is the depth
-    at which the reconstruction fills it (Edelsbrunner, Letscher and Zomorodian 2002). No dams are left between
-    regions.
+    The paper runs a morphological reconstruction, then a watershed (MorphoLibJ). A union-find forest that takes the
+    voxels from the highest down merges and labels in one pass and finds the same regions: the persistence of a maximum
+    is the depth at which the reconstruction fills it (Edelsbrunner, Letscher and Zomorodian 2002). There are no dams
+    between regions.
 
     Args:
         volume: The GS-SDF.
@@ -42,12 +42,12 @@ def segment_as_published(volume: Volume, *, tolerance: float = DEPTH) -> Fractur
         raise BadInput(f"tolerance must be zero or more and finite [m], got {tolerance}")
     heights = np.pad(np.minimum(volume.values, FAR), 1, constant_values=-np.inf)
     flat = heights.reshape(-1)
-    order = _descending(flat, -CAGE)
+    order = _descending(flat, -BAND)
     labels = np.zeros(flat.size, np.int32)
     parent = np.zeros(len(order) + 1, np.int32)
     steps = np.array([heights.shape[1] * heights.shape[2], heights.shape[2], 1])
-    count = _flood(flat, order, np.concatenate([-steps, steps]), labels, parent, float(tolerance))
-    _rename(flat, order, parent, labels, count)
+    count = _label_by_height(flat, order, np.concatenate([-steps, steps]), labels, parent, float(tolerance))
+    _renumber(flat, order, parent, labels, count)
     inner = labels.reshape(heights.shape)[1:-1, 1:-1, 1:-1]
     return FracturePattern(volume.grid, inner, np.maximum(volume.values, 0))
 
@@ -79,7 +79,7 @@ def _descending(heights: np.ndarray, lowest: float) -> np.ndarray:
 
 
 @njit(cache=True)
-def _flood(
+def _label_by_height(
     heights: np.ndarray,
     order: np.ndarray,
     steps: np.ndarray,
@@ -115,8 +115,8 @@ def _flood(
 
 
 @njit(cache=True)
-def _rename(heights: np.ndarray, order: np.ndarray, parent: np.ndarray, labels: np.ndarray, count: int) -> None:
-    """Number the regions from 1 by their peaks, highest first, and clear the cage."""
+def _renumber(heights: np.ndarray, order: np.ndarray, parent: np.ndarray, labels: np.ndarray, count: int) -> None:
+    """Number the regions from 1 by their peaks, highest first, and clear the band outside."""
     name = np.zeros(count + 1, np.int32)
     names = 0
     for v in order:

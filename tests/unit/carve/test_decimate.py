@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepfracture.carve import coarsened, cut, voronoi_pattern
+from deepfracture.carve import cut, decimated, voronoi_pattern
 from deepfracture.geometry import builtin, mass_properties, signed_distance
 from deepfracture.types import BadInput, Fragments, Grid
 from deepfracture.validation.fragments import check_fragments
@@ -30,10 +30,10 @@ def outside(fragments: Fragments) -> list[np.ndarray]:
 
 
 def test_a_budget_is_met_by_the_cracks_alone_and_everything_still_fits(fragments: Fragments) -> None:
-    least = max(len(piece.mesh.faces) for piece in coarsened(fragments, 4))
+    least = max(len(piece.mesh.faces) for piece in decimated(fragments, 4))
     budget = least + 60
     assert max(len(piece.mesh.faces) for piece in fragments) > budget
-    coarse = coarsened(fragments, budget)
+    coarse = decimated(fragments, budget)
     assert max(len(piece.mesh.faces) for piece in coarse) <= budget
     assert not check_fragments(SHAPE, coarse, voxel=GRID.spacing).failures
     for before, after in zip(outside(fragments), outside(coarse), strict=True):
@@ -46,7 +46,7 @@ def test_a_budget_is_met_by_the_cracks_alone_and_everything_still_fits(fragments
 
 
 def test_as_few_as_can_be_keep_volume_and_fit(fragments: Fragments) -> None:
-    coarse = coarsened(fragments, 4)
+    coarse = decimated(fragments, 4)
     assert inner(coarse) < 0.6 * inner(fragments)
     assert not check_fragments(SHAPE, coarse, voxel=GRID.spacing).failures
     for before, after in zip(fragments, coarse, strict=True):
@@ -54,8 +54,8 @@ def test_as_few_as_can_be_keep_volume_and_fit(fragments: Fragments) -> None:
 
 
 def test_within_the_budget_nothing_changes_and_the_same_comes_out_twice(fragments: Fragments) -> None:
-    assert coarsened(fragments, 1_000_000) is fragments
-    one, two = coarsened(fragments, 200), coarsened(fragments, 200)
+    assert decimated(fragments, 1_000_000) is fragments
+    one, two = decimated(fragments, 200), decimated(fragments, 200)
     for a, b in zip(one, two, strict=True):
         assert a.mesh.vertices.tobytes() == b.mesh.vertices.tobytes()
         assert a.mesh.faces.tobytes() == b.mesh.faces.tobytes()
@@ -70,9 +70,9 @@ def test_few_vertices_are_left_within_a_flat_crack() -> None:
         rim, crack = (piece.mesh.faces[own] for own in (piece.source >= 0, piece.source < 0))
         return len(np.setdiff1d(crack, rim))
 
-    assert within(coarsened(halves, 4)) < 0.4 * within(halves)
+    assert within(decimated(halves, 4)) < 0.4 * within(halves)
 
 
 def test_a_budget_below_a_tetrahedron_is_refused(fragments: Fragments) -> None:
     with pytest.raises(BadInput, match="at least 4 triangles a fragment, got 3"):
-        coarsened(fragments, 3)
+        decimated(fragments, 3)

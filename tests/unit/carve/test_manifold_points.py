@@ -1,4 +1,4 @@
-"""Points that the cut calls plain, and so never looks at again: every cell has one fan of faces there, or none."""
+"""Points that the cut knows to be manifold: every cell has a single fan of faces there, or none."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, label
 
 from deepfracture.carve import cut
 from deepfracture.carve.cutting.interfaces import ONE_LOOP
-from deepfracture.carve.cutting.solids import Faces, Solid, solids
+from deepfracture.carve.cutting.solids import CellFaces, Solid, solids
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.types import FracturePattern, Grid, Mesh, Shape
 from deepfracture.validation.fragments import check_fragments
@@ -42,11 +42,11 @@ def pattern(shape: Shape, kind: str, seed: int) -> FracturePattern:
     return FracturePattern(GRID, labels * inside, rng.uniform(0, GRID.spacing, GRID.shape).astype(np.float32))
 
 
-def faces_of(shape: Shape, cracks: FracturePattern, monkeypatch: pytest.MonkeyPatch) -> Faces:
+def faces_of(shape: Shape, cracks: FracturePattern, monkeypatch: pytest.MonkeyPatch) -> CellFaces:
     """What the cut puts solids together from."""
-    seen: list[Faces] = []
+    seen: list[CellFaces] = []
 
-    def watched(faces: Faces, smallest: float) -> list[Solid]:
+    def watched(faces: CellFaces, smallest: float) -> list[Solid]:
         seen.append(faces)
         return solids(faces, smallest)
 
@@ -69,26 +69,26 @@ def fans(around: list[tuple[int, int]]) -> int:
 
 @pytest.mark.parametrize("kind", ["cells", "blobs", "white"])
 @pytest.mark.parametrize("make", [lambda: builtin("mug"), pinched], ids=["mug", "pinched"])
-def test_plain_points_have_one_fan_of_each_cell(make, kind, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_manifold_points_have_one_fan_of_each_cell(make, kind, monkeypatch: pytest.MonkeyPatch) -> None:
     shape = make()
     faces = faces_of(shape, pattern(shape, kind, 1), monkeypatch)
-    below, above = faces.sides.T
+    below, above = faces.inner_cells.T
     cells = np.concatenate([faces.cell, below, above])
     corners = np.concatenate([faces.outer, faces.inner, faces.inner[:, ::-1]])
     around = defaultdict(list)
     for cell, face in zip(cells.tolist(), corners.tolist(), strict=True):
         for n in range(3):
-            if faces.plain[face[n]]:
+            if faces.manifold[face[n]]:
                 around[cell, face[n]].append((face[n - 2], face[n - 1]))
     assert {fans(pairs) for pairs in around.values()} == {1}
     used = np.unique(corners)
-    share = faces.plain[used].mean()
+    share = faces.manifold[used].mean()
     assert share > (0.4 if kind == "cells" else 0.1)  # or else nothing is gained
 
 
-def test_a_vertex_with_two_fans_is_not_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_vertex_with_two_fans_is_not_manifold(monkeypatch: pytest.MonkeyPatch) -> None:
     shape = pinched()
-    assert not faces_of(shape, pattern(shape, "cells", 2), monkeypatch).plain[0]
+    assert not faces_of(shape, pattern(shape, "cells", 2), monkeypatch).manifold[0]
 
 
 def test_one_loop_is_a_set_of_corners_and_its_complement_that_hang_together() -> None:
@@ -102,8 +102,8 @@ def test_one_loop_is_a_set_of_corners_and_its_complement_that_hang_together() ->
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_dust_that_joins_a_solid_at_a_point_gets_a_vertex_of_its_own(seed: int) -> None:
-    """Both are one fan there, each of its own cell: plain for both, and yet two vertices of the solid."""
+def test_a_small_solid_that_joins_a_solid_at_a_point_gets_a_vertex_of_its_own(seed: int) -> None:
+    """Both are one fan there, each of its own cell: manifold for both, and yet two vertices of the solid."""
     shape = builtin("bar")
     fragments = cut(shape, pattern(shape, "white", seed), density=1000.0)
     assert check_fragments(shape, fragments, voxel=GRID.spacing).failures == {}
