@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfracture.carve import decimated, cut
+from deepfracture.carve import cut, decimated
 from deepfracture.fracture import breaks
 from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Fragments, Impact, Material, Shape
