@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 TESTED := $(VENV)/installed-test
-# That run tests at once, whole files each: what a file's tests share is made once.
+# Test processes; each runs whole files, so that the fixtures of a file are built once.
 PROCESSES ?= 2
 
 .PHONY: addon bench demo film docs test lint warm clean
@@ -12,19 +12,19 @@ PROCESSES ?= 2
 demo: $(INSTALLED)
 	$(BIN)/deepfracture shatter pot --out shattered
 
-# Twenty seconds in six shots: runs/film/film.mp4.
+# A twenty-second film in six shots: runs/film/film.mp4.
 film: $(INSTALLED)
 	$(BIN)/python examples/film.py
 
-# What each stage costs here, and against the last time: runs/bench.
+# Time and memory of each stage on this machine, compared with the last run: runs/bench.
 bench: $(INSTALLED)
 	$(BIN)/deepfracture bench all --record runs/bench
 
-# The documentation as pages that open from disk: site/index.html.
+# The documentation as web pages that open from disk: site/index.html.
 docs: $(TESTED)
 	$(BIN)/mkdocs build --strict
 
-# The Blender add-on as one file: Edit > Preferences > Get Extensions > Install from Disk.
+# The Blender add-on as a single file: Edit > Preferences > Get Extensions > Install from Disk.
 addon: $(BIN)/python
 	mkdir -p runs && rm -f runs/deepfracture-addon.zip
 	cd blender/deepfracture && ../../$(BIN)/python -m zipfile -c ../../runs/deepfracture-addon.zip *.py *.toml
@@ -43,13 +43,13 @@ lint: $(TESTED)
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-# What the demo shows needs two extras: a film and a page. Installing also compiles the kernels once, so that the first command is as quick as the next.
+# The demo needs two extras, for the film and the page. Installing also compiles the kernels, so that the first command is fast.
 $(INSTALLED): $(BIN)/python pyproject.toml
 	$(BIN)/pip install --quiet --editable '.[render,play]'
 	$(BIN)/deepfracture warm
 	touch $@
 
-# All in one go, and bytecode of what is imported only: most of it never is.
+# One pip call, without bytecode: most of the installed modules are never imported.
 $(TESTED): $(BIN)/python pyproject.toml
 	$(BIN)/pip install --quiet --no-compile --editable '.[test]'
 	npm install --silent --no-package-lock --prefix tests/tools || echo "no npm: the glTF validator test will be skipped"

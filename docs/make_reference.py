@@ -26,6 +26,7 @@ SECTIONS = {
         "Volume", "Grid", "Recording",
     ),
     "Scenes": ("Scene", "Placed", "Ball", "Floor", "Block", "Outcome", "Live", "load_scene"),
+    "Options": ("BreakerOptions", "SimulateOptions", "TrainOptions"),
     "Errors": ("BadInput", "NoSolution"),
 }  # fmt: skip
 """Public names by heading; options and other classes that signatures name follow them."""

@@ -1,4 +1,4 @@
-"""The command line: each command is a typed function over the rooms. Only here are all rooms known."""
+"""The command line: each command is a typed function over the rooms, and only this room knows all the others."""
 
 from deepfracture.cli.main import main
 

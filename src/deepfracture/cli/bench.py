@@ -1,4 +1,4 @@
-"""`bench`: what each stage costs on this machine."""
+"""`bench`: time and memory of each stage on this machine."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def bench(
     from deepfracture.runtime.files import atomic_file
 
     made = stamp()
-    before = None if record is None else last(record, made)  # complains before the minutes that follow
+    before = None if record is None else last(record, made)  # fails before the minutes that follow
     level = log.level
-    log.setLevel("WARNING")  # each stage would say how long it took
+    log.setLevel("WARNING")  # the stages would bury the table
     try:
         rows = run(room, load_shape(shape), resolution, model)
     finally:
@@ -33,5 +33,5 @@ def bench(
         with atomic_file(json_file) as temporary:
             temporary.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
     if record is not None:
-        log.info("\n%s", comparison(rows, before) if before else "the first measurement on such a machine")
+        log.info("\n%s", comparison(rows, before) if before else "no earlier measurement on such a machine")
         log.info("%s: %s, %s cores, load %s", keep(rows, record, made), made["processor"], made["cores"], made["load"])

@@ -1,4 +1,4 @@
-"""`doctor`: what works on this machine, found out by using it, and what to type for the rest."""
+"""`doctor`: try every optional dependency, and say how to install what is missing."""
 
 from __future__ import annotations
 
@@ -25,39 +25,39 @@ from deepfracture.runtime.extras import is_installed, pip_command
 from deepfracture.runtime.files import scratch_folder
 
 BASE = ("numpy", "scipy", "numba", "manifold3d", "rapier3d", "trimesh", "pillow")
-"""Distributions whose versions matter when something goes wrong."""
-LOOKED_AFTER = 20
-"""Seconds that another program may take to say its version."""
+"""Distributions whose versions a bug report needs."""
+VERSION_TIMEOUT = 20
+"""Longest time for another program to print its version [s]."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Something that not every installation has."""
+    """An optional part of the program."""
 
     name: str
-    does: str
+    purpose: str
     module: str
     """What is imported."""
     extra: str | None
-    """Extra of this program that brings it; None: it comes with the program."""
+    """Extra of this program that installs it; None: part of every installation."""
     use: Callable[[], str]
-    """Uses it a little, and returns a few words on what it found; any error means that it does not work."""
-    never: str = ""
-    """Why it cannot be had here, if so."""
+    """A small use of it, which returns a short description; any error means that it is broken."""
+    unavailable: str = ""
+    """Why it cannot be installed here, if so."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """How a part fared."""
+    """Whether a part works."""
 
     part: Part
     state: str
     """works, missing, or broken."""
-    words: str
+    detail: str
 
 
 def doctor() -> None:
-    """Try every part and write what was found to stdout."""
+    """Try every part and print the result."""
     for line in machine():
         sys.stdout.write(f"{line}\n")
     findings = []
@@ -65,13 +65,13 @@ def doctor() -> None:
         findings.append(examine(part))
         sys.stdout.write(f"{_line(findings[-1])}\n")
         sys.stdout.flush()
-    for line in outside():
+    for line in external_programs():
         sys.stdout.write(f"{line}\n")
     sys.stdout.write(f"\n{advice(findings)}\n")
 
 
 def machine() -> Iterator[str]:
-    """What the program runs on."""
+    """The machine, in a few lines."""
     where = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
     yield f"deepfracture {__version__} on {where}"
     yield "  " + ", ".join(f"{name} {_version(name)}" for name in BASE)
@@ -79,16 +79,14 @@ def machine() -> Iterator[str]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield f"  {cores} cores" + ("" if free is None else f", {free[1]:.1f} of {free[0]:.1f} GB of memory free")
     compiled, wanted = kernels()
-    state = "not compiled yet: `deepfracture warm` does it once, in two to five minutes"
+    state = "not compiled yet: run `deepfracture warm` once (two to five minutes)"
     if compiled:
-        state = f"compiled in {compiled} of {wanted} files" + (
-            "" if compiled == wanted else "; the others when they are first used"
-        )
+        state = f"compiled in {compiled} of {wanted} files" + ("" if compiled == wanted else "; the rest on first use")
     yield f"  kernels {state}"
 
 
 def kernels() -> tuple[int, int]:
-    """Source files with kernels whose machine code is in Numba's cache, and all with kernels that it keeps."""
+    """Source files whose kernels are in Numba's cache, and all source files with cached kernels."""
     from deepfracture.geometry import kernels as some
 
     package = Path(deepfracture.__file__).parent
@@ -109,14 +107,14 @@ def kernels() -> tuple[int, int]:
 
 
 def parts() -> tuple[Part, ...]:
-    """Everything that is tried, in the order of the table."""
+    """Everything that is tried, in table order."""
     python = sys.version_info
     bullet = sys.platform == "linux" and python < (3, 12)
     return (
         Part("rapier", "rigid bodies", "rapier3d", None, lambda: _falls("rapier")),
         Part(
             "bullet", "rigid bodies, as in the paper", "pybullet", "bullet", lambda: _falls("bullet"),
-            "" if bullet else "wheels for Linux and Python <= 3.11 only; rapier does the same",
+            "" if bullet else "wheels only for Linux and Python <= 3.11; rapier does the same",
         ),
         Part("page", "animation.html, play", "viser", "play", _page),
         Part("film", "animation.mp4", "imageio_ffmpeg", "render", _film),
@@ -134,41 +132,45 @@ def parts() -> tuple[Part, ...]:
 
 
 def examine(part: Part) -> Finding:
-    """Import a part and use it."""
-    if part.never and not is_installed(part.module):
-        return Finding(part, "missing", part.never)
+    """Import and use a part."""
+    if part.unavailable and not is_installed(part.module):
+        return Finding(part, "missing", part.unavailable)
     if not is_installed(part.module):
-        return Finding(part, "missing", pip_command(part.extra) if part.extra else "install deepfracture again")
+        return Finding(part, "missing", pip_command(part.extra) if part.extra else "reinstall deepfracture")
     try:
         return Finding(part, "works", part.use())
-    except Exception as error:  # whatever a foreign library raises is what is to be told
+    except Exception as error:  # any error of a third-party library is the finding
         reason = (str(error).strip().splitlines() or [""])[0]
         return Finding(part, "broken", f"{type(error).__name__}: {reason}"[:120])
 
 
 def advice(findings: list[Finding]) -> str:
-    """The one line that brings what is missing or broken."""
+    """The command that installs everything missing or broken."""
     wanted = [
         finding.part.extra
         for finding in findings
-        if finding.state != "works" and finding.part.extra and not (finding.state == "missing" and finding.part.never)
+        if finding.state != "works"
+        and finding.part.extra
+        and not (finding.state == "missing" and finding.part.unavailable)
     ]
     if any(finding.state != "works" and finding.part.extra is None for finding in findings):
-        return "the program itself is not whole: pip install --force-reinstall deepfracture"
+        return "the installation is incomplete: pip install --force-reinstall deepfracture"
     if not wanted:
-        return "everything that can work here does"
+        return "everything available on this machine works"
     again = " --force-reinstall" if any(finding.state == "broken" for finding in findings) else ""
-    return f"all that is missing: {pip_command(*dict.fromkeys(wanted))}{again}"
+    return f"install everything missing: {pip_command(*dict.fromkeys(wanted))}{again}"
 
 
-def outside() -> Iterator[str]:
-    """Programs of others that ours works with."""
+def external_programs() -> Iterator[str]:
+    """Programs that results are exported to."""
     blender = shutil.which("blender")
     if blender is None:
-        yield f"{'blender':<10} {'missing':<8} Alembic, FBX and the add-on: install Blender and put it on the PATH"
+        yield f"{'blender':<10} {'missing':<8} Alembic, FBX and the add-on: install Blender and add it to PATH"
         return
     try:
-        said = subprocess.run([blender, "--version"], capture_output=True, text=True, timeout=LOOKED_AFTER, check=True)
+        said = subprocess.run(
+            [blender, "--version"], capture_output=True, text=True, timeout=VERSION_TIMEOUT, check=True
+        )
         words = (said.stdout.splitlines() or ["no version"])[0]
         yield f"{'blender':<10} {'works':<8} Alembic, FBX and the add-on: {words}, {blender}"
     except (OSError, subprocess.SubprocessError) as error:
@@ -176,7 +178,7 @@ def outside() -> Iterator[str]:
 
 
 def _line(finding: Finding) -> str:
-    return f"{finding.part.name:<10} {finding.state:<8} {finding.part.does}: {finding.words}"
+    return f"{finding.part.name:<10} {finding.state:<8} {finding.part.purpose}: {finding.detail}"
 
 
 def _version(distribution: str) -> str:
@@ -187,7 +189,7 @@ def _version(distribution: str) -> str:
 
 
 def _free_memory() -> tuple[float, float] | None:
-    """All memory and that which is free [GB], where the system tells."""
+    """Total and free memory [GB], on Linux."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -214,13 +216,13 @@ def _falls(name: str) -> str:
     finally:
         engine.close()
     if not 0.04 < fell < 0.06:
-        raise RuntimeError(f"a cube fell {fell:.3f} m in 0.1 s, not 0.05")
+        raise RuntimeError(f"a cube fell {fell:.3f} m in 0.1 s instead of 0.05")
     return _version({"rapier": "rapier3d", "bullet": "pybullet"}[name])
 
 
 def _page() -> str:
     viser = import_module("viser")
-    with redirect_stdout(io.StringIO()):  # viser prints an address
+    with redirect_stdout(io.StringIO()):  # viser prints its address
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
             server.scene.add_box("/box")
@@ -249,7 +251,7 @@ def _usd() -> str:
     stage = usd.Stage.CreateInMemory()
     import_module("pxr.UsdGeom").Sphere.Define(stage, "/ball")
     if "ball" not in stage.GetRootLayer().ExportToString():
-        raise RuntimeError("a stage was written without what is in it")
+        raise RuntimeError("the written stage lacks its prim")
     return "USD " + ".".join(str(number) for number in usd.GetVersion())
 
 
@@ -261,7 +263,7 @@ def _store() -> str:
         array[...] = np.arange(4)
         back = np.asarray(zarr.open_group(folder, mode="r")["numbers"])
     if back.tolist() != [0, 1, 2, 3]:
-        raise RuntimeError(f"0, 1, 2, 3 was read back as {back.tolist()}")
+        raise RuntimeError(f"0, 1, 2, 3 read back as {back.tolist()}")
     return f"zarr {_version('zarr')}"
 
 
@@ -270,7 +272,7 @@ def _bucket() -> str:
     store = import_module("obstore.store").MemoryStore()
     obstore.put(store, "numbers", b"0123")
     if bytes(obstore.get(store, "numbers").bytes()) != b"0123":
-        raise RuntimeError("what was written was not read back")
+        raise RuntimeError("the object read back differs from the one written")
     return f"obstore {_version('obstore')}"
 
 
@@ -290,7 +292,7 @@ def _torch() -> str:
     ]
     device = torch.device(found[0] if found else "cpu")
     if float(torch.ones(4, device=device).sum()) != 4:
-        raise RuntimeError(f"four ones on {device} do not make four")
+        raise RuntimeError(f"the sum of four ones on {device} is not four")
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{torch.get_num_threads()} threads"
     return f"torch {torch.__version__} on {device.type}, {name}"
 
@@ -308,5 +310,5 @@ def _onnx() -> str:
     session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
     (twice,) = session.run(None, {"x": np.ones(1, np.float32)})
     if float(np.asarray(twice)[0]) != 2:
-        raise RuntimeError(f"twice one was {twice}")
+        raise RuntimeError(f"1 + 1 gave {twice}")
     return f"onnx {_version('onnx')}, onnxruntime {_version('onnxruntime')}"

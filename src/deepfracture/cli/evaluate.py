@@ -1,4 +1,4 @@
-"""`evaluate`: how good any way of breaking is on collisions that it has never seen."""
+"""`evaluate`: measure breakers and models on held-out collisions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def evaluate(
     unseen = open_dataset(held)
     sources = _sources(unseen, dataset, model, breakers, ablation=ablation)
     level = log.level
-    log.setLevel(logging.WARNING)  # each stage of each call would say how long it took
+    log.setLevel(logging.WARNING)  # the stages of every call would bury the table
     try:
         found = write_report(run(unseen, sources, draws=draws, seed=seed), out)
     finally:
@@ -35,7 +35,7 @@ def evaluate(
 def _sources(
     held: Dataset, dataset: Path | None, model: tuple[str, ...], breakers: tuple[str, ...], *, ablation: bool
 ) -> dict[str, PatternSource]:
-    """By the names that they get in the tables."""
+    """Sources by their names in the tables."""
     if not len(held):
         raise BadInput(f"{held.path}: no collision broke the shape; simulate faster balls, with --repeats 4")
     memory = None
@@ -59,6 +59,6 @@ def _sources(
 
 
 def _models(model: tuple[str, ...]) -> list[tuple[str, Path]]:
-    """NAME=FILE, or a file that gets the name `learned`."""
+    """NAME=FILE, or a file, which is named `learned`."""
     pairs = [text.split("=", 1) if "=" in text else ("learned", text) for text in model]
     return [(name, Path(path)) for name, path in pairs]

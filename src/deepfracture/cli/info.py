@@ -1,4 +1,4 @@
-"""`info`: a few lines on any file that the program reads or writes."""
+"""`info`: describe any file that the program reads or writes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deepfracture.types import BadInput
 
 
 def info(name: str) -> None:
-    """Say what `name` is: a data set, model, report, scene, mesh file or built-in shape."""
+    """Describe a data set, model, report, scene, mesh file or built-in shape."""
     path = Path(name)
     if path.is_dir() or name.startswith("s3://"):
         lines = _dataset(name)
@@ -36,17 +36,17 @@ def _dataset(path: str) -> list[str]:
     again, frames = data.settings.refracture, data.settings.frames
     lines = [
         f"{path}: data set of {data.shape.name} ({data.material.name}), scene {data.settings.scene}",
-        *([f"  fragments broke again, {again} generations in {frames} frames"] if again else []),
-        f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} broke nothing, {data.failed} failed",
+        *([f"  refracture: {again} generations within {frames} frames"] if again else []),
+        f"  {len(data)} patterns from {data.tried} collisions, {data.unbroken} without fracture, {data.failed} failed",
     ]
     if counts:
         lines.append(f"  largest impulse {data.max_impulse:.0f} N s")
         lines.append(f"  fragments: {min(counts)} to {max(counts)}, median {np.median(counts):.0f}")
     if damaged:
         lines += [f"  entry {number:06d} is damaged: {problem}" for number, problem in sorted(damaged.items())]
-        lines.append(f"  {len(damaged)} damaged: the command that made it, with --retry, makes them anew")
+        lines.append(f"  {len(damaged)} damaged: rerun the simulate command with --retry to rebuild them")
     else:
-        lines.append("  every entry is as it was written (SHA-256)")
+        lines.append("  all entries intact (SHA-256)")
     return lines
 
 
@@ -86,7 +86,7 @@ def _scene(path: Path) -> list[str]:
 
 
 def _json(path: Path) -> list[str]:
-    if not path.is_file():  # a device may have no end
+    if not path.is_file():  # reading a device may never end
         raise BadInput(f"{path}: no such file")
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
@@ -99,7 +99,7 @@ def _json(path: Path) -> list[str]:
     try:
         return _report(path, report)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{path}: not a whole report of shatter ({str(error)[:200]}); run it again") from error
+        raise BadInput(f"{path}: incomplete report of shatter ({str(error)[:200]}); run it again") from error
 
 
 def _report(path: Path, report: dict) -> list[str]:

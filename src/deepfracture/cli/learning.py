@@ -1,4 +1,4 @@
-"""`simulate` and `train`: from a shape to a model."""
+"""`simulate`, `copy` and `train`: from a shape to a model."""
 
 from __future__ import annotations
 

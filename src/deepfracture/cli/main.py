@@ -1,5 +1,5 @@
-"""`deepfracture COMMAND ...`: exit status 0 when the work was done, 2 for a bad file or value, 1 for what went
-wrong with good ones, such as a full disk; both in one line."""
+"""`deepfracture COMMAND ...`: exit status 0 on success, 2 for a bad file or value, 1 for other failures such as
+a full disk; both are reported in one line."""
 
 from __future__ import annotations
 

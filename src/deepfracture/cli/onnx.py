@@ -1,4 +1,4 @@
-"""`export-onnx`: a trained model for programs that have no Python."""
+"""`export-onnx`: a trained model for programs without Python."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deepfracture.types import BadInput
 
 
 def export_onnx(name: str, *, out: Path) -> None:
-    """Write the model `name`, a file or a built-in shape with weights of its own, to `out`."""
+    """Write the model `name`, a file or a built-in shape with shipped weights, to `out`."""
     path = _file(name)
     if kind_of(path) == "field model":
         raise BadInput(f"{path}: a network that predicts the field itself; only the preset waves is exported to ONNX")

@@ -1,4 +1,4 @@
-"""`play`: the page on which one shoots at things."""
+"""`play`: break shapes in the browser."""
 
 from __future__ import annotations
 

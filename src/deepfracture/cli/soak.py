@@ -11,7 +11,7 @@ def soak(
     shapes: tuple[str, ...], *, hits: int, breakers: tuple[str, ...], seed: int, out: Path | None, workers: int,
     limit: float, resolution: int | None, engine: str, model: Path | None, data: Path | None, repair: bool,
 ) -> bool:  # fmt: skip
-    """Hit and check, say what came of it; whether all was well."""
+    """Hit and check, log a summary; returns whether all hits passed."""
     from deepfracture.runtime.files import atomic_file
     from deepfracture.soak import Settings, summary
     from deepfracture.soak import soak as run
@@ -21,9 +21,9 @@ def soak(
         shapes, breakers, seed, resolution, engine, repair, model=model, data=data,
     )  # fmt: skip
     rows = run(settings, hits, out=out, workers=workers, limit=limit)
-    told = summary(rows, settings)
-    log.info("%s", told.rstrip())
+    text = summary(rows, settings)
+    log.info("%s", text.rstrip())
     if out is not None:
         with atomic_file(out / "summary.md") as temporary:
-            temporary.write_text(told, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
     return sound(rows)

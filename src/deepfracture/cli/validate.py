@@ -15,7 +15,7 @@ COLUMNS = f"{'case':<60} {'exact':>11} {'ours':>11} {'error':>9} {'limit':>9}  {
 
 
 def validate(*, json_file: Path | None, plots: Path | None, quick: bool) -> bool:
-    """Run every case, print the table, write `json_file` and pictures into `plots`; whether all pass."""
+    """Run every case, print the table, write `json_file` and pictures into `plots`; returns whether all pass."""
     from deepfracture.validation import draw, outcomes
 
     if plots:

@@ -1,4 +1,4 @@
-"""`warm`: run every kernel once, so that the compiled code is in the cache."""
+"""`warm`: run every kernel once, so that the compiled code is cached."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepfracture.runtime.progress import log
 
 def warm() -> None:
     """Compile and cache all kernels by breaking small things in a temporary folder; a second call is quick."""
-    log.info("compiling the kernels, once a machine, two to five minutes ...")
+    log.info("compiling the kernels, once per machine: two to five minutes ...")
     start, level = time.perf_counter(), log.level
     log.setLevel(logging.WARNING)
     try:

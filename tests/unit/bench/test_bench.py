@@ -140,7 +140,7 @@ def test_kept_measurements_say_where_and_when_and_the_next_ones_compare(
         command("fracture", shape="bar", resolution=32, json_file=None, record=tmp_path / "kept")
         return caplog.text
 
-    assert "the first measurement on such a machine" in told()
+    assert "no earlier measurement on such a machine" in told()
     slower, quicker = told(), told()
     assert "    2.0000    3.0000    1.50 !" in slower and "2030-01-01" in slower
     assert "    3.0000    1.0000    0.33 +" in quicker and "2030-01-02" in quicker  # with the last, not the first

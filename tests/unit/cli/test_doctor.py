@@ -9,8 +9,8 @@ from deepfracture.cli.doctor import Finding, Part, advice, examine, kernels, par
 from deepfracture.runtime import extras
 
 
-def part(use, *, module: str = "json", extra: str | None = "play", never: str = "") -> Part:
-    return Part("name", "does", module, extra, use, never)
+def part(use, *, module: str = "json", extra: str | None = "play", unavailable: str = "") -> Part:
+    return Part("name", "does", module, extra, use, unavailable)
 
 
 def raises() -> str:
@@ -19,25 +19,25 @@ def raises() -> str:
 
 def test_a_part_is_used_not_only_imported() -> None:
     found = examine(part(lambda: "1.0"))
-    assert (found.state, found.words) == ("works", "1.0")
+    assert (found.state, found.detail) == ("works", "1.0")
     broken = examine(part(raises))
-    assert (broken.state, broken.words) == ("broken", "OSError: libGL.so.1: cannot open")
+    assert (broken.state, broken.detail) == ("broken", "OSError: libGL.so.1: cannot open")
 
 
 def test_missing_parts_name_their_remedy_or_why_there_is_none() -> None:
-    assert examine(part(raises, module="no_such")).words == "pip install 'deepfracture[play]'"
-    assert examine(part(raises, module="no_such", never="no wheel")).words == "no wheel"
+    assert examine(part(raises, module="no_such")).detail == "pip install 'deepfracture[play]'"
+    assert examine(part(raises, module="no_such", unavailable="no wheel")).detail == "no wheel"
 
 
 def test_the_advice_is_one_line() -> None:
     works = Finding(part(raises), "works", "")
     missing = Finding(part(raises, extra="usd"), "missing", "")
-    never = Finding(part(raises, extra="bullet", never="no wheel"), "missing", "no wheel")
+    never = Finding(part(raises, extra="bullet", unavailable="no wheel"), "missing", "no wheel")
     broken = Finding(part(raises, extra="render"), "broken", "")
-    assert advice([works, never]) == "everything that can work here does"
-    assert advice([works, missing, missing]) == "all that is missing: pip install 'deepfracture[usd]'"
+    assert advice([works, never]) == "everything available on this machine works"
+    assert advice([works, missing, missing]) == "install everything missing: pip install 'deepfracture[usd]'"
     assert advice([missing, broken]).endswith("pip install 'deepfracture[usd,render]' --force-reinstall")
-    assert "not whole" in advice([Finding(part(raises, extra=None), "broken", "")])
+    assert "installation is incomplete" in advice([Finding(part(raises, extra=None), "broken", "")])
 
 
 def test_what_is_installed_here_works(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,5 +72,5 @@ def test_without_the_libraries_everything_is_missing(
     main(["doctor"])
     out = capsys.readouterr().out
     prescription = out.rstrip().splitlines()[-1]
-    assert prescription.startswith("all that is missing: pip install 'deepfracture[")
+    assert prescription.startswith("install everything missing: pip install 'deepfracture[")
     assert {"play", "render", "usd", "train", "onnx"} <= set(prescription.split("[")[1].split("]")[0].split(","))
