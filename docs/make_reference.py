@@ -33,6 +33,8 @@ SECTIONS = {
 BESIDE = {
     "types": ("Track", "Rigid", "Appearance", "Finish"),
     "world": ("Collision",),
+    "breakers.options": ("BreakerOptions",),
+    "dataset.options": ("SimulateOptions",),
     "learn.options": ("TrainOptions",),
 }
 """Classes that the public ones are made of, by module."""

@@ -82,3 +82,16 @@ def test_files_and_names_of_the_code_exist(page: Path) -> None:
         found = importlib.import_module(module)
         if not hasattr(found, attribute):
             importlib.import_module(f"deepfracture{name}")
+
+
+def test_the_places_of_the_glossary_exist() -> None:
+    page = (ROOT / "docs" / "reference" / "glossary.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| .+ \| (`[^|]+`) \|$", page, re.M)
+    assert len(rows) > 60
+    for place in (place for row in rows for place in re.findall(r"`(.+?)`", row)):
+        if place.endswith(".py"):
+            assert (ROOT / "src" / "deepfracture" / place).is_file(), f"there is no {place}"
+            continue
+        module, _, name = f"deepfracture.{place}".rpartition(".")
+        if not hasattr(importlib.import_module(module), name):
+            importlib.import_module(f"deepfracture.{place}")
