@@ -1,4 +1,4 @@
-"""The processes of one training: alone, or started together by torchrun."""
+"""The processes of one training: a single one, or several started by torchrun."""
 
 from __future__ import annotations
 
@@ -15,64 +15,66 @@ from deepfracture.types import BadInput
 
 
 @dataclass(frozen=True)
-class Team:
+class DistributedContext:
     """This process among all."""
 
+    device: torch.device
     rank: int = 0
     size: int = 1
 
     @property
-    def leads(self) -> bool:
+    def is_main(self) -> bool:
         """Whether this process writes the files."""
         return self.rank == 0
 
-    def part(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """This process's share of the patterns of a step, and what each weighs in the mean that the
-        processes make of their losses. Processes beyond the last pattern repeat it without weight."""
-        each = -(-len(chosen) // self.size)
+    def shard(self, batch: Tensor) -> tuple[Tensor, Tensor]:
+        """This process's part of a batch of sample numbers, and the weight of each in the mean over the losses of all
+        processes. Processes beyond the last sample repeat it without weight."""
+        each = -(-len(batch) // self.size)
         slots = torch.arange(self.rank * each, (self.rank + 1) * each)
-        weights = (slots < len(chosen)).float() * self.size / len(chosen)
-        return chosen[slots.clamp(max=len(chosen) - 1)], weights
+        weights = (slots < len(batch)).float() * self.size / len(batch)
+        return batch[slots.clamp(max=len(batch) - 1)], weights
 
-    def wrap(self, module: nn.Module, device: torch.device) -> nn.Module:
+    def wrap(self, module: nn.Module) -> nn.Module:
         """The module, with gradients that are the mean over all processes."""
         if self.size == 1:
             return module
-        device_ids = [device.index] if device.type == "cuda" else None
+        device_ids = [self.device.index] if self.device.type == "cuda" else None
         return nn.parallel.DistributedDataParallel(module, device_ids=device_ids)
 
-    def agree(self, values: list[float], device: torch.device) -> list[float]:
-        """The first process's values, in every process."""
+    def broadcast(self, values: list[float]) -> list[float]:
+        """The main process's values, in every process."""
         if self.size == 1:
             return values
-        shared = torch.tensor(values, dtype=torch.float64, device=device)
+        shared = torch.tensor(values, dtype=torch.float64, device=self.device)
         dist.broadcast(shared, 0)
         return shared.tolist()
 
-    def mean(self, value: float, device: torch.device) -> float:
+    def mean(self, value: float) -> float:
+        """Over all processes."""
         if self.size == 1:
             return value
-        shared = torch.tensor(value, dtype=torch.float64, device=device)
+        shared = torch.tensor(value, dtype=torch.float64, device=self.device)
         dist.all_reduce(shared)
         return float(shared) / self.size
 
 
 @contextmanager
-def assemble(device: torch.device) -> Iterator[Team]:
-    """The team that torchrun's environment tells of, else this process alone."""
+def init_distributed(device: torch.device) -> Iterator[DistributedContext]:
+    """The process group that torchrun's environment describes, or this process alone."""
     size = _number("WORLD_SIZE", 1)
     if size == 1:
-        yield Team()
+        yield DistributedContext(device)
         return
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
-        yield Team(dist.get_rank(), size)
+        yield DistributedContext(device, dist.get_rank(), size)
     finally:
         dist.destroy_process_group()
 
 
-def refuse_team() -> None:
-    """For a training that one process does in minutes.
+def refuse_distributed() -> None:
+    """For a training that takes one process minutes.
 
     Raises:
         BadInput: torchrun has started several."""
@@ -81,10 +83,10 @@ def refuse_team() -> None:
 
 
 def pick_device(name: str) -> torch.device:
-    """A usable torch device; "auto": this process's GPU if there is one, else the CPU.
+    """A usable torch device; "auto": this process's GPU if there is one, otherwise the CPU.
 
     Raises:
-        BadInput: There is no such device here."""
+        BadInput: There is no such device on this machine."""
     if name in ("auto", "cuda") and torch.cuda.is_available():
         name = f"cuda:{_number('LOCAL_RANK', 0)}"
     elif name == "auto":
@@ -97,8 +99,8 @@ def pick_device(name: str) -> torch.device:
     return device
 
 
-def _number(name: str, otherwise: int) -> int:
-    value = os.environ.get(name, str(otherwise))
+def _number(name: str, default: int) -> int:
+    value = os.environ.get(name, str(default))
     if not value.isdigit():
         raise BadInput(f"{name} must be a whole number, as torchrun sets it, got {value!r}")
     return int(value)

@@ -1,6 +1,6 @@
-"""Arrays that lie on disk: what a training looks at again and again, and what together need not fit into memory.
+"""Memory-mapped arrays: training data that is read again and again and need not fit into memory.
 
-The system keeps in memory what fits and reads the rest, so a small data set is as quick as before."""
+The system caches what fits, so a small data set is as fast as one in memory."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from numpy.typing import DTypeLike, NDArray
 from deepfracture.types import BadInput
 
 
-def on_disk(folder: Path, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
-    """An array of zeros in a file of its own in `folder`. The file has no name: it is gone with the process, however
+def memory_map(folder: Path, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
+    """An array of zeros in a file of its own in `folder`. The file is unlinked, so it goes with the process, however
     that ends.
 
     Raises:
-        BadInput: There is no room for it."""
+        BadInput: The disk has no space for it."""
     size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):  # a full disk must be found now: later it would end the process
+            if hasattr(os, "posix_fallocate"):  # finds a full disk here: later it would end the process
                 os.posix_fallocate(file.fileno(), 0, size)
             return np.memmap(file, dtype, "w+", shape=shape)
     except OSError as error:
@@ -32,8 +32,8 @@ def on_disk(folder: Path, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
         ) from error
 
 
-def spilt(folder: Path, array: NDArray) -> NDArray:
+def memory_mapped(folder: Path, array: NDArray) -> NDArray:
     """A copy of `array` on disk."""
-    copy = on_disk(folder, array.shape, array.dtype)
+    copy = memory_map(folder, array.shape, array.dtype)
     copy[...] = array
     return copy

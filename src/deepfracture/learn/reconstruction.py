@@ -1,6 +1,6 @@
-"""What a model remembers of its training patterns, against what encoding and segmenting lose by themselves.
+"""How well a model reconstructs its training patterns, against what encoding and segmentation lose by themselves.
 
-A low L2 says little: it is the small ridges between fragments that decide whether the flood finds them."""
+A low L2 says little: the low ridges between fragments decide whether the watershed finds them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ import numpy as np
 
 from deepfracture.carve import encode, segment
 from deepfracture.compare import variation_of_information
-from deepfracture.learn.partition.field import Body
 from deepfracture.types import Floats32, FracturePattern, Volume
 
 
 @dataclass(frozen=True)
-class Recall:
-    """Training patterns against their decoded selves."""
+class Reconstruction:
+    """Training patterns against their decoded codes."""
 
     counts: tuple[tuple[int, int, int], ...]
     """Fragments of each pattern: true, of its exact GS-SDF segmented, of the decoded one segmented."""
     ceiling: float
-    """Mean variation of information between truth and the segmented exact field [bits]."""
+    """Mean variation of information between truth and the segmented exact field [bits]: the best to be reached."""
     bits: float
     """The same for the decoded field [bits]."""
     error: float
@@ -35,11 +34,11 @@ class Recall:
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
-    """A training pattern that is watched."""
+class MonitoredSample:
+    """A training pattern whose reconstruction is measured during training."""
 
     index: int
-    """Its code in the codebook."""
+    """Of its code in the codebook."""
     pattern: FracturePattern
     exact: Volume
     count: int
@@ -47,10 +46,15 @@ class Probe:
     ceiling: float
 
     @staticmethod
-    def of(index: int, pattern: FracturePattern, body: Body) -> Probe:
-        exact = encode(pattern, body.surface)
+    def of(index: int, pattern: FracturePattern, surface: Floats32, *, cuts: bool) -> MonitoredSample:
+        """A pattern and its exact field.
+
+        Args:
+            surface: Signed distance to the shape's surface [m], shape (r, r, r).
+            cuts: Whether the model predicts `Volume.cuts` beside distances."""
+        exact = encode(pattern, surface, cuts=cuts)
         found = segment(exact)
-        return Probe(index, pattern, exact, found.count, _apart(pattern, found))
+        return MonitoredSample(index, pattern, exact, found.count, _partition_distance(pattern, found))
 
 
 class Decoder(Protocol):
@@ -59,18 +63,18 @@ class Decoder(Protocol):
     def decode(self, code: Floats32) -> Volume: ...
 
 
-def recall(model: Decoder, codes: Floats32, probes: list[Probe]) -> Recall:
-    """Decode and segment the probes' codes."""
+def reconstruct(model: Decoder, codes: Floats32, samples: list[MonitoredSample]) -> Reconstruction:
+    """Decode and segment the samples' codes; `codes` holds one for every training pattern."""
     counts, bits, errors = [], [], []
-    for probe in probes:
-        decoded = model.decode(codes[probe.index])
+    for sample in samples:
+        decoded = model.decode(codes[sample.index])
         found = segment(decoded)
-        counts.append((probe.pattern.count, probe.count, found.count))
-        bits.append(_apart(probe.pattern, found))
-        errors.append(float(((decoded.values - probe.exact.values) ** 2).mean()))
-    ceiling = float(np.mean([probe.ceiling for probe in probes]))
-    return Recall(tuple(counts), ceiling, float(np.mean(bits)), float(np.mean(errors)))
+        counts.append((sample.pattern.count, sample.count, found.count))
+        bits.append(_partition_distance(sample.pattern, found))
+        errors.append(float(((decoded.values - sample.exact.values) ** 2).mean()))
+    ceiling = float(np.mean([sample.ceiling for sample in samples]))
+    return Reconstruction(tuple(counts), ceiling, float(np.mean(bits)), float(np.mean(errors)))
 
 
-def _apart(truth: FracturePattern, found: FracturePattern) -> float:
+def _partition_distance(truth: FracturePattern, found: FracturePattern) -> float:
     return variation_of_information(truth.labels, found.labels, truth.labels > 0)

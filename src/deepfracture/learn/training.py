@@ -1,7 +1,7 @@
-"""Training: decoder and segment codes together (an autodecoder), the impulse encoder frozen.
+"""One training run for every network: epochs, checkpoints, monitoring, and the finished model.
 
-The only user of torch. A run lives in a folder: `checkpoint.safetensors` while it lasts, then
-`model.safetensors`, `card.txt`, `curve.csv` and `curve.png`.
+A run lives in a folder: `checkpoint.safetensors` while it lasts, then `model.safetensors`, `card.txt`, `curve.csv` and
+`curve.png`. Under torchrun the processes share each batch, and the main one writes.
 """
 
 from __future__ import annotations
@@ -11,41 +11,69 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch  # noqa: TID253  (this module is imported by `learn.train` alone)
+from numpy.typing import NDArray
+from torch import Tensor  # noqa: TID253
 
-from deepfracture.compare import describe
 from deepfracture.dataset import Dataset
-from deepfracture.geometry import signed_distance
 from deepfracture.learn.checkpoint import read, write
-from deepfracture.learn.distributed import pick_device, refuse_team
-from deepfracture.learn.memory_map import on_disk, spilt
-from deepfracture.learn.normaliser import Normaliser
-from deepfracture.learn.partition import network
-from deepfracture.learn.partition.config import Config
-from deepfracture.learn.partition.field import Body
-from deepfracture.learn.partition.model import Model, save_model
-from deepfracture.learn.partition.selector import Choice, fit, mean_distance
-from deepfracture.learn.partition.targets import anchors, target_of
-from deepfracture.learn.reconstruction import Probe, Recall, recall
-from deepfracture.learn.report import Card, Point, card_text, write_card, write_curve
+from deepfracture.learn.data import TrainingData
+from deepfracture.learn.distributed import DistributedContext, init_distributed, pick_device, refuse_distributed
+from deepfracture.learn.model import Model
+from deepfracture.learn.options import TrainOptions
+from deepfracture.learn.partition.config import PartitionConfig
+from deepfracture.learn.published.config import PublishedConfig
+from deepfracture.learn.reconstruction import Reconstruction, reconstruct
+from deepfracture.learn.report import CurvePoint, Objective, TrainingReport, write_card, write_curve
 from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import log, stage, track
-from deepfracture.types import BadInput, Grid
+from deepfracture.types import BadInput, Floats32
 
-KIND = "training checkpoint"
-PROBES = 10
-"""Training patterns whose memory is watched."""
-LOOKS = 8
-"""Times that it is measured during a training."""
-KEEP_EVERY = 60.0
-"""Seconds between checkpoints."""
+EVALUATIONS = 8
+"""Times that the reconstruction is measured during a training."""
+CHECKPOINT_SECONDS = 60.0
+"""Between checkpoints."""
+
+
+class TrainStep(Protocol):
+    """A network in training: its data, loss, optimiser and learning-rate schedule."""
+
+    data: TrainingData
+    config: Any
+    objective: Objective
+    checkpoint_kind: str
+
+    @property
+    def options(self) -> str:
+        """The command-line options that distinguish this network, each followed by a space."""
+        ...
+
+    def learning_rate(self, fraction: float, step: int) -> float:
+        """At a fraction of the whole training and after so many steps."""
+        ...
+
+    def __call__(self, batch: Tensor, generator: torch.Generator, rate: float) -> float | Tensor:
+        """One update with the samples `batch`; returns this process's share of the mean loss."""
+        ...
+
+    def model(self, epoch: int) -> tuple[Model, Floats32]:
+        """The model with its present weights, and the latent code of every sample, shape (n, code_size)."""
+        ...
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Weights and optimiser moments, and what json holds: all that the next step depends on."""
+        ...
+
+    def load_state(self, arrays: Mapping[str, NDArray], progress: Mapping[str, Any]) -> None:
+        """The inverse of `state`; any of KeyError, TypeError, ValueError and RuntimeError if it is damaged."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -60,8 +88,8 @@ class Budget:
         if len(given) != 1 or not 0 < given[0] < np.inf:
             raise BadInput(f"give epochs or minutes, positive, got epochs={self.epochs}, minutes={self.minutes}")
 
-    def part(self, epoch: int, seconds: float) -> float:
-        """Share of the training that is over, 0 to 1."""
+    def fraction(self, epoch: int, seconds: float) -> float:
+        """Fraction of the training that is over, 0 to 1."""
         if self.epochs is not None:
             return min(1.0, epoch / self.epochs)
         assert self.minutes is not None
@@ -72,87 +100,102 @@ class Budget:
 
 
 def train(
-    dataset: Dataset, out: Path, config: Config, *,
-    epochs: int | None, minutes: float | None, resume: bool, device: str, seed: int,
-) -> Card:  # fmt: skip
+    dataset: Dataset, out: Path, config: PartitionConfig | PublishedConfig, options: TrainOptions, *, resume: bool
+) -> TrainingReport:
     """Train on all samples and store the model in the folder `out`.
 
-    With `epochs`, a run that was interrupted and resumed ends with the same weights as an unbroken one
-    on the same device; with `minutes` the learning rate follows the clock.
+    With `epochs`, a run that was interrupted and resumed ends with the same weights as an unbroken one on the same
+    device; with `minutes` the learning rate follows the clock.
 
     Args:
-        resume: Go on from the checkpoint in `out` if there is one, else start anew.
-        device: A torch device, or "auto" for the GPU if there is one.
+        options: Budget, device and seed; preset, width and features are those of `config`.
+        resume: Continue from the checkpoint in `out` if there is one.
 
     Raises:
-        BadInput: The data set is empty, the budget makes no sense, the checkpoint is another run's, or another process
-            trains in `out`.
+        BadInput: The data set is empty, the budget or a setting makes no sense, the checkpoint belongs to another run,
+            or another process trains in `out`.
     """
-    refuse_team()
-    budget = Budget(epochs, minutes)
-    with exclusive(out):
-        return _trained(dataset, out, config, budget, resume, device, seed)
+    if isinstance(config, PartitionConfig):
+        refuse_distributed()
+    budget, where = Budget(options.epochs, options.minutes), pick_device(options.device)
+    checkpoint = out / "checkpoint.safetensors"
+    with init_distributed(where) as distributed, exclusive(out) if distributed.is_main else nullcontext():
+        with stage("training data"):
+            step = _train_step(dataset, config, options.seed, distributed, out)
+        run = Run(step, options.seed, distributed)
+        if resume and checkpoint.is_file():
+            run.load_checkpoint(checkpoint)
+        elif distributed.is_main:
+            checkpoint.unlink(missing_ok=True)
+        with interrupt_event() as interrupted:
+            _train(run, budget, checkpoint, interrupted)
+        return _finish(run, out, budget)
 
 
-def _trained(dataset: Dataset, out: Path, config: Config, budget: Budget, resume: bool, device: str, seed: int) -> Card:
-    with stage("training data"):
-        lesson = _Lesson.of(dataset, config, out)
-    run = _Run(lesson, config, seed, pick_device(device))
-    file = out / "checkpoint.safetensors"
-    if resume and file.is_file():
-        run.restore(file)
-    elif file.is_file():
-        file.unlink()
-    with interrupt_later() as interrupted:
-        _train(run, budget, file, interrupted)
-    model = run.model()
-    found = recall(model, model.codebook, lesson.probes)
-    command = f"deepfracture train {dataset.name} --out {out.name} {budget} --seed {seed}"
-    about = {
+def _train_step(
+    dataset: Dataset, config: PartitionConfig | PublishedConfig, seed: int, distributed: DistributedContext, out: Path
+) -> TrainStep:
+    if isinstance(config, PartitionConfig):
+        from deepfracture.learn.partition.train_step import PartitionTrainStep
+
+        return PartitionTrainStep(dataset, config, seed, distributed.device, out)
+    from deepfracture.learn.published.train_step import PublishedTrainStep
+
+    return PublishedTrainStep(dataset, config, seed, distributed, out)
+
+
+def _train(run: Run, budget: Budget, checkpoint: Path, interrupted: threading.Event) -> None:
+    """Epochs until the budget is spent, with an evaluation and a checkpoint now and then."""
+
+    def percents() -> Iterator[None]:
+        done = int(100 * budget.fraction(run.epoch, run.seconds))
+        saved = time.monotonic()
+        while (before := budget.fraction(run.epoch, run.seconds)) < 1:
+            stop = run.train_epoch(budget, interrupted)
+            after = budget.fraction(run.epoch, run.seconds)
+            if int(after * EVALUATIONS) > int(before * EVALUATIONS):
+                run.evaluate()
+            due = stop or after >= 1 or time.monotonic() - saved > CHECKPOINT_SECONDS
+            if run.distributed.is_main and due:
+                run.save_checkpoint(checkpoint)
+                saved = time.monotonic()
+            if stop:
+                raise KeyboardInterrupt
+            while done < int(100 * after):
+                done += 1
+                yield
+
+    start = int(100 * budget.fraction(run.epoch, run.seconds))
+    for _ in track(percents(), name="training", total=100 - start) if run.distributed.is_main else percents():
+        pass
+
+
+def _finish(run: Run, out: Path, budget: Budget) -> TrainingReport:
+    """Model, curve and card."""
+    step, dataset = run.step, run.step.data.dataset
+    model, codes = step.model(run.epoch)
+    found = reconstruct(model, codes, step.data.monitored)
+    command = f"deepfracture train {dataset.name} --out {out.name} {step.options}{budget} --seed {run.seed}"
+    metadata = {
         "command": command,
-        "seed": seed,
+        "seed": run.seed,
         "material": dataset.material.name,
         "loss": run.loss,
         "epochs": run.epoch,
         "counts": found.counts,
     }
     path = out / "model.safetensors"
-    save_model(path, replace(model, about=about))
-    last = run.point(found)
-    write_curve(out, run.curve)
-    text = card_text(dataset, config, command, seed, path.stat().st_size, last, found)
-    write_card(out / "card.txt", text)
-    return Card(path, last, found, text)
-
-
-def _train(run: _Run, budget: Budget, file: Path, interrupted: threading.Event) -> None:
-    """Epochs until the budget is spent, with a look at the memory and a checkpoint now and then."""
-
-    def percents() -> Iterator[None]:
-        done = int(100 * budget.part(run.epoch, run.seconds))
-        kept = time.monotonic()
-        while (part := budget.part(run.epoch, run.seconds)) < 1:
-            run.train_epoch(budget)
-            now = budget.part(run.epoch, run.seconds)
-            if int(now * LOOKS) > int(part * LOOKS):
-                run.look()
-            if interrupted.is_set() or now >= 1 or time.monotonic() - kept > KEEP_EVERY:
-                run.keep(file)
-                kept = time.monotonic()
-            if interrupted.is_set():
-                raise KeyboardInterrupt
-            while done < int(100 * now):
-                done += 1
-                yield
-
-    start = int(100 * budget.part(run.epoch, run.seconds))
-    for _ in track(percents(), name="training", total=100 - start):
-        pass
+    report = TrainingReport(path, run.point(found), found)
+    if run.distributed.is_main:
+        replace(model, metadata=metadata).save(path)
+        write_curve(out, run.curve, step.objective)
+        write_card(out / "card.txt", dataset, step.config, command, step.objective, report)
+    return report
 
 
 @contextmanager
-def interrupt_later() -> Iterator[threading.Event]:
-    """Turn Ctrl-C into an event, for a checkpoint between epochs, from where the run can go on exactly."""
+def interrupt_event() -> Iterator[threading.Event]:
+    """Turn Ctrl-C into an event, for a checkpoint between epochs from which the run can resume exactly."""
     event = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield event  # only the main thread receives signals
@@ -164,185 +207,95 @@ def interrupt_later() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, before)
 
 
-@dataclass(frozen=True, eq=False)
-class _Lesson:
-    """The data set as the network sees it: each sample is read once, and what grows with their number lies on disk."""
-
-    dataset: Dataset
-    body: Body
-    normaliser: Normaliser
-    choice: Choice
-    """The impulses, shape (n, features, 7), and how alike what they did is; segment codes are not learnt yet."""
-    targets: dict[str, np.ndarray]
-    """Fields of `Target`, shape (n, voxels) each."""
-    channels: int
-    probes: list[Probe]
-
-    @staticmethod
-    def of(dataset: Dataset, config: Config, scratch: Path) -> _Lesson:
-        if len(dataset) == 0:
-            raise BadInput(f"{dataset.path}: no collision broke the shape yet; simulate more or faster ones")
-        grid = Grid(dataset.settings.resolution)
-        body = Body.of(grid, signed_distance(dataset.shape.mesh, grid))
-        normaliser = Normaliser(dataset.max_impulse, config.features)
-        watched = {int(i) for i in np.linspace(0, len(dataset) - 1, PROBES)}
-        channels = min(config.channels, max(record.fragments for record in dataset.samples))
-        places = anchors(body.points, channels)
-        targets = {
-            name: on_disk(scratch, (len(dataset), len(body.points)), kind)
-            for name, kind in {"channel": "u1", "next": "u1", "share": "f2", "weight": "f2"}.items()
-        }
-        impulses, probes, traits, somewhere = [], [], [], dataset.impacts()[0]
-        for index, sample in enumerate(track(dataset, name="targets", total=len(dataset))):
-            impulses.append(normaliser(sample.impact))
-            found = describe(sample.pattern, somewhere)  # only differences between patterns matter
-            traits.append(replace(found, partition=spilt(scratch, found.partition)))
-            target = target_of(sample.pattern, body.voxels, places)
-            for name, array in targets.items():
-                array[index] = getattr(target, name)
-            if index in watched:
-                probes.append(Probe.of(index, sample.pattern, body))
-        rows, apart = np.stack(impulses).astype(np.float32), mean_distance(traits)
-        choice = Choice(rows, np.zeros((len(rows), config.segment_size), np.float32), apart, fit(rows, apart))
-        return _Lesson(dataset, body, normaliser, choice, targets, channels, probes)
-
-
-class _Run:
+class Run:
     """The state of a training: everything that a checkpoint holds."""
 
-    def __init__(self, lesson: _Lesson, config: Config, seed: int, device: torch.device) -> None:
-        self.lesson, self.config, self.seed, self.device = lesson, config, seed, device
-        rng = np.random.default_rng(seed)
-        drawn = network.draw_weights(config, lesson.channels, rng)
-        rows = lesson.choice.rows
-        segment = rng.standard_normal((len(rows), config.segment_size), np.float32)
-        self.impulse = self._put(network.encode_impulses(drawn, rows, np).astype(np.float32))
-        self.weights = {name: self._put(value) for name, value in drawn.items()}
-        self.weights["codes"] = self._put(segment)
-        self.learned = [name for name in self.weights if name not in network.FROZEN]
-        for name in self.learned:
-            self.weights[name].requires_grad_()
-        self.optimiser = torch.optim.Adam(
-            [self.weights[name] for name in self.learned], lr=config.learning_rate, fused=True
-        )
-        self.points = self._put(lesson.body.points.astype(np.float32))
-        self.targets = {name: torch.from_numpy(value) for name, value in lesson.targets.items()}
+    def __init__(self, step: TrainStep, seed: int, distributed: DistributedContext) -> None:
+        self.step, self.seed, self.distributed = step, seed, distributed
         self.generator = torch.Generator().manual_seed(seed)
         self.epoch, self.seconds, self.loss, self.rate = 0, 0.0, math.nan, 0.0
-        self.curve: list[Point] = []
+        self.curve: list[CurvePoint] = []
 
-    def _put(self, array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
-
-    def train_epoch(self, budget: Budget) -> None:
-        """One pass over the patterns, each seen at random voxels."""
-        start = time.perf_counter()
-        count = len(self.impulse)
-        per_epoch = math.ceil(count / self.config.batch)
-        total = 0.0
-        for step, chosen in enumerate(torch.randperm(count, generator=self.generator).split(self.config.batch)):
-            part = budget.part(self.epoch, self.seconds)
-            warm = min(1.0, (self.epoch * per_epoch + step + 1) / self.config.warm_up)
-            self.rate = self.config.learning_rate * warm * max(0.5 * (1 + math.cos(math.pi * part)), 0.005)
-            for group in self.optimiser.param_groups:
-                group["lr"] = self.rate
-            total += self._step(chosen) * len(chosen)
+    def train_epoch(self, budget: Budget, interrupted: threading.Event) -> bool:
+        """One pass over the samples, or what is left of the minutes; returns whether to stop after it, because the
+        main process was interrupted."""
+        start, before = time.perf_counter(), self.seconds
+        order = torch.randperm(len(self.step.data.impulses), generator=self.generator)
+        batches = order.split(self.step.config.batch)
+        seen, total = 0, 0.0
+        for number, batch in enumerate(batches, 1):
+            if budget.minutes is not None:
+                (self.seconds,) = self.distributed.broadcast([before + time.perf_counter() - start])
+            fraction = budget.fraction(self.epoch, self.seconds)
+            if fraction >= 1 and seen > 0:
+                break
+            self.rate = self.step.learning_rate(fraction, self.epoch * len(batches) + number)
+            total = total + self.step(batch, self.generator, self.rate) * len(batch)  # a tensor stays on its device
+            seen += len(batch)
+        self.loss = self.distributed.mean(float(total) / seen)
+        spent = before + time.perf_counter() - start
+        self.seconds, stop = self.distributed.broadcast([spent, float(interrupted.is_set())])
         self.epoch += 1
-        self.loss = total / count
-        self.seconds += time.perf_counter() - start
         if not math.isfinite(self.loss):
             raise RuntimeError(f"training diverged in epoch {self.epoch}; try a lower learning rate")
+        return bool(stop)
 
-    def _step(self, chosen: torch.Tensor) -> float:
-        """One update: the chosen patterns at the same random voxels, so that one product gives all scores."""
-        where = torch.randint(len(self.points), (self.config.points,), generator=self.generator)
-        rows = chosen[None, :], where[:, None]
-        truth = {name: values[rows].to(self.device) for name, values in self.targets.items()}
-        chosen, where = chosen.to(self.device), where.to(self.device)
-        codes = torch.cat([self.impulse[chosen], self.weights["codes"][chosen]], dim=1)
-        mixing = network.compose(self.weights, codes, torch).transpose(0, 1)  # (basis, patterns, channels)
-        scores = network.basis(self.weights, self.points[where], torch) @ mixing.reshape(len(mixing), -1)
-        scores = scores.view(len(where), len(chosen), -1)
-        mine, beyond = (scores.gather(2, truth[name].long()[..., None])[..., 0] for name in ("channel", "next"))
-        share, weight = truth["share"].float(), truth["weight"].float()
-        loss = (weight * (scores.logsumexp(dim=-1) - share * mine - (1 - share) * beyond)).mean()
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimiser.step()
-        return loss.item()
+    def evaluate(self) -> None:
+        """Measure the reconstruction of the monitored samples, and add it to the curve."""
+        model, codes = self.step.model(self.epoch)
+        self.curve.append(self.point(reconstruct(model, codes, self.step.data.monitored)))
+        if self.distributed.is_main:
+            log.info("%s", self.curve[-1])
 
-    def model(self) -> Model:
-        """The model as it is now; its embedding space holds every latent code of the epoch."""
-        weights = {name: value.detach().cpu().numpy().copy() for name, value in self.weights.items()}
-        lesson = self.lesson
-        choice = replace(lesson.choice, segment=weights.pop("codes"))
-        return Model(lesson.dataset.shape.name, self.config, lesson.normaliser, lesson.body, weights, choice, {})
-
-    def look(self) -> None:
-        """Measure the memory and put it on the curve."""
-        model = self.model()
-        self.curve.append(self.point(recall(model, model.codebook, self.lesson.probes)))
-        log.info("%s", self.curve[-1])
-
-    def point(self, found: Recall) -> Point:
-        return Point(
-            self.epoch,
-            self.seconds,
-            self.loss,
-            self.rate,
-            found.count_error,
-            found.bits,
-            found.ceiling,
-            found.error,
+    def point(self, found: Reconstruction) -> CurvePoint:
+        return CurvePoint(
+            self.epoch, self.seconds, self.loss, self.rate, found.count_error, found.bits, found.ceiling, found.error
         )
 
-    def _facts(self) -> dict[str, Any]:
-        """What a checkpoint must share with the run that goes on from it."""
-        return {
-            "config": asdict(self.config),
+    def _identity(self) -> dict[str, Any]:
+        """What a checkpoint must share with the run that resumes from it."""
+        dataset = self.step.data.dataset
+        identity = {
+            "config": asdict(self.step.config),
             "seed": self.seed,
-            "data": json.loads(json.dumps(self.lesson.dataset.settings.manifest())),
-            "samples": list(self.lesson.dataset.names),
+            "data": dataset.settings.manifest(),
+            "samples": list(dataset.names),
         }
+        return json.loads(json.dumps(identity))
 
-    def keep(self, path: Path) -> None:
+    def save_checkpoint(self, path: Path) -> None:
         """Write everything that the rest of the run depends on."""
-        arrays = {f"weights.{name}": value.detach().cpu().numpy() for name, value in self.weights.items()}
-        for name in self.learned:
-            for key, value in self.optimiser.state[self.weights[name]].items():
-                arrays[f"adam.{name}.{key}"] = value.cpu().numpy()
-        arrays["generator"] = self.generator.get_state().numpy()
+        arrays, more = self.step.state()
         progress = {
             "epoch": self.epoch,
             "seconds": self.seconds,
             "loss": self.loss,
+            "rate": self.rate,
+            **more,
             "curve": [point.row for point in self.curve],
         }
-        write(path, KIND, arrays, {**self._facts(), "progress": progress})
+        arrays["generator"] = self.generator.get_state().numpy()
+        write(path, self.step.checkpoint_kind, arrays, {**self._identity(), "progress": progress})
 
-    def restore(self, path: Path) -> None:
-        """Go on from a checkpoint of the same run.
+    def load_checkpoint(self, path: Path) -> None:
+        """Resume from a checkpoint of the same run.
 
         Raises:
             BadInput: It is damaged, or belongs to other data, settings or seed.
         """
-        arrays, facts = read(path, KIND)
-        for key, value in self._facts().items():
-            if facts.get(key) != value:
-                raise BadInput(f"{path}: of a run with other {key}; use another folder, or start anew without resume")
+        arrays, metadata = read(path, self.step.checkpoint_kind)
+        for key, value in self._identity().items():
+            if metadata.get(key) != value:
+                raise BadInput(
+                    f"{path}: belongs to a run with other {key}; use another folder, or start over without resume"
+                )
         try:
-            with torch.no_grad():
-                for name, value in self.weights.items():
-                    value.copy_(torch.from_numpy(arrays[f"weights.{name}"]))
-            for name in self.learned:
-                self.optimiser.state[self.weights[name]] = {
-                    key: torch.from_numpy(arrays[f"adam.{name}.{key}"]).to("cpu" if key == "step" else self.device)
-                    for key in ("step", "exp_avg", "exp_avg_sq")
-                }
+            progress = metadata["progress"]
+            self.step.load_state(arrays, progress)
             self.generator.set_state(torch.from_numpy(arrays["generator"]))
-            progress = facts["progress"]
             self.epoch, self.seconds = int(progress["epoch"]), float(progress["seconds"])
-            self.loss = float(progress["loss"])
-            self.curve = [Point(*row) for row in progress["curve"]]
+            self.loss, self.rate = float(progress["loss"]), float(progress.get("rate", 0.0))
+            self.curve = [CurvePoint(*row) for row in progress["curve"]]
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise BadInput(f"{path}: damaged checkpoint ({error}); delete it to start anew") from error
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise BadInput(f"{path}: damaged checkpoint ({reason}); delete it to start over") from error

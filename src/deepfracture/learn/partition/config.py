@@ -1,15 +1,14 @@
-"""What decides the size and the training of a model."""
+"""Size and training settings of the partition network."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from deepfracture.runtime.extras import require
 from deepfracture.types import BadInput
 
 
 @dataclass(frozen=True)
-class Config:
+class PartitionConfig:
     """Sizes (stored with the weights) and training."""
 
     features: int = 1
@@ -21,21 +20,21 @@ class Config:
     hidden: int = 256
     """Width of the layers that read the code."""
     basis: int = 384
-    """Waves that the decoder composes the fragments of."""
+    """Random Fourier features that the decoder composes the fragments of."""
     wavelength: float = 0.13
-    """Inverse of the waves' median wave number along an axis [m]."""
+    """Inverse of the features' median wave number along an axis [m]."""
     wave_spread: float = 0.5
     """Standard deviation of the logarithm of that scale."""
     channels: int = 32
-    """Most fragments that have a channel of their own; beyond, fragments far apart share one."""
+    """Most fragments with a channel of their own; beyond that, fragments far apart share one."""
     batch: int = 8
-    """Patterns in a step."""
+    """Samples in a step."""
     points: int = 2000
     """Random voxels in a step."""
     learning_rate: float = 3e-3
-    """At the start; it falls along a cosine."""
+    """Highest; it falls along a cosine."""
     warm_up: int = 50
-    """Steps over which the learning rate rises first."""
+    """Steps over which the learning rate rises at first."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -48,9 +47,3 @@ class Config:
     def code_size(self) -> int:
         """Length of a latent code: impulses, then segment."""
         return self.features * self.impulse_size + self.segment_size
-
-
-def need_training() -> None:
-    """Ask for what training needs, before it begins: the last thing that it does is to draw its curve."""
-    require("torch", extra="train", to="train")
-    require("matplotlib", extra="train", to="draw the curve of a training")

@@ -6,12 +6,12 @@ Outside and towards the surface nothing is predicted: the shape's own distance i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from deepfracture.learn.domain import VoxelDomain
 from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
@@ -30,12 +30,9 @@ SLACK = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(VoxelDomain):
     """The voxels inside a shape, and the lattice that functions over it are read from."""
 
-    grid: Grid
-    surface: Floats32
-    """Signed distance to the shape's surface [m], + inside, shape (r, r, r)."""
     runs: NDArray[np.int32]
     """Voxels inside that follow each other along the last axis: i, j, first k, end k, shape (n, 4)."""
     planes: Ints
@@ -54,16 +51,6 @@ class Body:
         """Where `volume_of` needs the scores [m], shape (m, 3)."""
         return self.lattice.nodes
 
-    @cached_property
-    def voxels(self) -> tuple[Ints, Ints, Ints]:
-        """Indices of the voxels inside, shape (n,) each."""
-        i, j, k = np.nonzero(self.surface > 0)
-        return i, j, k
-
-    @property
-    def points(self) -> Floats:
-        """Positions of the voxels inside [m], shape (n, 3)."""
-        return self.grid.to_world(np.stack(self.voxels, axis=1))
 
 
 def volume_of(body: Body, scores: Floats32) -> Volume:

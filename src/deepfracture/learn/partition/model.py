@@ -1,208 +1,167 @@
-"""Inference: impulse and random code to a code of the embedding space, and that to a GS-SDF. Needs no torch."""
+"""The trained partition network and its file. Prediction needs no torch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from deepfracture.learn import fit
 from deepfracture.learn.checkpoint import check, pack_distance, read, unpack_distance, write
-from deepfracture.learn.codebook import nearest_first
+from deepfracture.learn.codes import encode_impulses
+from deepfracture.learn.inference import NEAREST, UNQUANTISED, Inference
+from deepfracture.learn.model import Model
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.partition import network
-from deepfracture.learn.partition.config import Config
-from deepfracture.learn.partition.field import Body, volume_of
-from deepfracture.learn.partition.selector import VARIETY, Choice, Similarity
+from deepfracture.learn.partition.config import PartitionConfig
+from deepfracture.learn.partition.field import Body as SplineDomain
+from deepfracture.learn.partition.field import volume_of as decode_logits
+from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector
 from deepfracture.runtime.parallel import parallel_matmul, single_threaded_blas
-from deepfracture.types import BadInput, Floats32, Grid, Impact, Shape, Volume
+from deepfracture.types import BadInput, Floats32, Grid, Ints, Shape, Volume
 
 FORMAT = 2
 KIND = "model"
-REACH = 0.3
-"""Distance [m] outside up to which the surface's distance matters: `segment` and `fits` look no farther."""
-SHIPPED = Path(__file__).parents[1] / "models"
+BAND = 0.3
+"""Distance [m] outside up to which the surface's distance is exact: segmentation and `matches_shape` look no farther."""
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """A trained generative model of one shape."""
+class PartitionModel(Model):
+    """A trained model: a code partitions the shape into fragments."""
 
-    shape_name: str
-    config: Config
-    normaliser: Normaliser
-    body: Body
+    config: PartitionConfig
+    domain: SplineDomain
     weights: dict[str, Floats32]
     """See `network.shapes`."""
-    choice: Choice
-    """The training patterns: which of them answers an impact."""
-    about: dict[str, Any]
-    """How it was trained: command, seed, loss, counts."""
+    selector: MinimumRiskSelector
+    """The training patterns, and which of them suits an impact."""
+
+    @property
+    def description(self) -> str:
+        return "model"
+
+    @property
+    def inference(self) -> Inference:
+        return Inference()
+
+    @property
+    def ablations(self) -> dict[str, Inference]:
+        return {
+            "nearest code": Inference(NEAREST),
+            "nearest impulse": Inference(NEAREST, random=False),
+            "no quantisation": Inference(UNQUANTISED),
+            "no random code": Inference(random=False),
+        }
 
     @property
     def channels(self) -> int:
+        """Most fragments with a channel of their own."""
         return self.weights["head.bias"].size // self.config.basis
+
+    @property
+    def weakest_impulse(self) -> float:
+        return float(self.selector.impulses[:, 0, 6].min() + 1) / 2 * self.normaliser.max_impulse
 
     @cached_property
     def codebook(self) -> Floats32:
-        """The embedding space: latent codes of the training patterns, impulse then segment, shape (n, code_size)."""
-        impulse = network.encode_impulses(self.weights, self.choice.rows, np)
-        return np.concatenate([impulse, self.choice.segment], axis=1)
+        return np.concatenate([self.encode(self.selector.impulses), self.selector.segment], axis=1)
 
     @cached_property
-    def waves(self) -> Floats32:
-        """The basis at the nodes of the body's lattice, as coefficients of splines, shape (nodes, basis)."""
-        gain = self.body.lattice.gain(self.weights["waves.vector"])
-        return network.basis(self.weights, self.body.nodes.astype(np.float32), np) * gain.astype(np.float32)
+    def node_features(self) -> Floats32:
+        """The Fourier features at the nodes of the lattice, as spline coefficients, shape (nodes, basis)."""
+        gain = self.domain.lattice.gain(self.weights["waves.vector"])
+        nodes = self.domain.nodes.astype(np.float32)
+        return network.fourier_features(self.weights, nodes, np) * gain.astype(np.float32)
 
-    def at(self, shape: Shape, resolution: int) -> Model:
-        """The same model for GS-SDFs of another resolution: what it has learned are functions of the place.
+    def at(self, shape: Shape, resolution: int) -> PartitionModel:
+        """The same model for GS-SDFs of another resolution: it has learned functions of the position.
 
         Args:
-            shape: The shape that it was trained on, for the distance to the surface; outside it is exact up
-                to REACH and no larger than that, which saves most of the time.
+            shape: The shape that it was trained on, for the distance to the surface; outside it is exact up to BAND
+                and no larger than that, which saves most of the time.
 
-        The distances take seconds at high resolutions, so the model is kept as long as this one and the shape live.
+        The distances take seconds at high resolutions, so the result lives as long as this model and the shape.
         """
-        models = self._elsewhere.setdefault(shape, {})
+        models = self._resampled.setdefault(shape, {})
         if resolution not in models:
-            models[resolution] = replace(self, body=_body(shape, Grid(resolution)))
+            models[resolution] = replace(self, domain=_domain(shape, Grid(resolution)))
         return models[resolution]
 
     @cached_property
-    def _elsewhere(self) -> WeakKeyDictionary[Shape, dict[int, Model]]:
+    def _resampled(self) -> WeakKeyDictionary[Shape, dict[int, PartitionModel]]:
         """This model at other resolutions."""
         return WeakKeyDictionary()
 
-    def fits(self, shape: Shape) -> bool:
-        """Whether `shape` is the one that the model was trained on, however it is tessellated."""
-        return fit.fits(self.body, shape)
+    def encode(self, impulses: Floats32) -> Floats32:
+        return encode_impulses(self.weights, impulses)
+
+    def rank_by_risk(self, impulses: Floats32, random: Floats32, bandwidth: float) -> Ints:
+        return self.selector(impulses, random, bandwidth=bandwidth)
 
     def decode(self, code: Floats32) -> Volume:
-        """The GS-SDF of one latent code, shape (code_size,)."""
         with single_threaded_blas():
-            matrix = network.compose(self.weights, code[None], np)[0]
-        return volume_of(self.body, parallel_matmul(self.waves, matrix))
+            matrix = network.mixing_matrices(self.weights, code[None], np)[0]
+        return decode_logits(self.domain, parallel_matmul(self.node_features, matrix))
+
+    def save(self, path: Path) -> None:
+        """Store the model, its large matrices as float16."""
+        arrays = {name: _stored(name, value) for name, value in self.weights.items()}
+        grid, selector = self.domain.grid, self.selector
+        metadata = {
+            "format": FORMAT,
+            "shape": self.shape_name,
+            "resolution": grid.resolution,
+            "config": asdict(self.config),
+            "channels": self.channels,
+            "max_impulse": self.normaliser.max_impulse,
+            "similarity": asdict(selector.kernel),
+            "about": self.metadata,
+        }
+        patterns = {
+            "rows": selector.impulses,
+            "segment": selector.segment,
+            "apart": selector.pairwise.astype(np.float16),
+            "surface": pack_distance(self.domain.surface, grid),
+        }
+        write(path, KIND, {**arrays, **patterns}, metadata)
 
 
-def _body(shape: Shape, grid: Grid) -> Body:
-    from deepfracture.geometry import signed_distance_lattice
-
-    surface = signed_distance_lattice(shape.mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape, outside=REACH)
-    return Body.of(grid, surface)
-
-
-@dataclass(frozen=True)
-class Way:
-    """How a code is found and decoded; `OURS` is the best that we know, `AS_PUBLISHED` the paper's."""
-
-    rule: str = "typical"
-    """typical: see `choice`. nearest: the code nearest to [impulse, random]. free: that code itself."""
-    random: bool = True
-    """Whether Z_random takes part; else zeros, and with `nearest` the impulse alone is compared."""
-    variety: float = VARIETY
-    """See `Choice`; smaller makes draws differ more."""
-
-    def __post_init__(self) -> None:
-        if self.rule not in RULES or not self.variety > 0:
-            raise BadInput(
-                f"rule must be one of {', '.join(RULES)} and variety positive, got {self.rule}, {self.variety}"
-            )
-
-
-RULES = ("typical", "nearest", "free")
-OURS = Way()
-AS_PUBLISHED = Way(rule="nearest")
-"""Section 4.2.7 of the paper."""
-
-
-def predict(model: Model, impact: Impact, rng: np.random.Generator, way: Way = OURS) -> Volume:
-    """A fracture pattern under `impact`: `rng` draws Z_random, so that one impact can break the shape in several
-    ways (paper, section 4.2.7)."""
-    return next(predictions(model, impact, rng, way))
-
-
-def predictions(model: Model, impact: Impact, rng: np.random.Generator, way: Way = OURS) -> Iterator[Volume]:
-    """The answer of `predict`, and what to fall back on when it does not serve: the next codes in order."""
-    with single_threaded_blas():
-        codes = _codes(model, impact, rng, way)
-    for code in codes:
-        yield model.decode(code)
-
-
-def _codes(model: Model, impact: Impact, rng: np.random.Generator, way: Way) -> Iterable[Floats32]:
-    """The latent codes that answer an impact, the best first."""
-    rows = model.normaliser(impact).astype(np.float32)
-    random = rng.standard_normal(model.config.segment_size, np.float32) * np.float32(way.random)
-    impulse = network.encode_impulses(model.weights, rows[None], np)[0]
-    code = np.concatenate([impulse, random])
-    if way.rule == "free":
-        return [code]
-    if way.rule == "typical":
-        order = model.choice(rows, random, variety=way.variety)
-    else:
-        compared = slice(None) if way.random else slice(len(impulse))
-        order = nearest_first(model.codebook[:, compared], code[compared])
-    return (model.codebook[index] for index in order)
-
-
-def save_model(path: Path, model: Model) -> None:
-    """Store a model, its large matrices as float16."""
-    arrays = {name: _small(name, value) for name, value in model.weights.items()}
-    grid = model.body.grid
-    facts = {
-        "format": FORMAT,
-        "shape": model.shape_name,
-        "resolution": grid.resolution,
-        "config": asdict(model.config),
-        "channels": model.channels,
-        "max_impulse": model.normaliser.max_impulse,
-        "similarity": asdict(model.choice.similarity),
-        "about": model.about,
-    }
-    choice = model.choice
-    codes = {"rows": choice.rows, "segment": choice.segment, "apart": choice.apart.astype(np.float16)}
-    write(path, KIND, {**arrays, **codes, "surface": pack_distance(model.body.surface, grid)}, facts)
-
-
-def load_model(path: Path | str) -> Model:
+def load_partition_model(path: Path | str) -> PartitionModel:
     """Read a model and check all of it before use.
 
     Raises:
         BadInput: In one line, what is missing, damaged, or of another format.
     """
     path = Path(path)
-    arrays, facts = read(path, KIND)
-    if facts.get("format") != FORMAT:
-        raise BadInput(f"{path}: model format {facts.get('format')}, this program reads {FORMAT}; train it again")
+    arrays, metadata = read(path, KIND)
+    if metadata.get("format") != FORMAT:
+        raise BadInput(f"{path}: model format {metadata.get('format')}, this program reads {FORMAT}; train it again")
     try:
-        config, grid = Config(**facts["config"]), Grid(facts["resolution"])
-        normaliser = Normaliser(float(facts["max_impulse"]), config.features)
-        name, channels, about = str(facts["shape"]), int(facts["channels"]), dict(facts["about"])
+        config, grid = PartitionConfig(**metadata["config"]), Grid(metadata["resolution"])
+        normaliser = Normaliser(float(metadata["max_impulse"]), config.features)
+        name, channels, about = str(metadata["shape"]), int(metadata["channels"]), dict(metadata["about"])
         surface = unpack_distance(arrays["surface"], grid)
-        similarity = Similarity(**facts["similarity"])
+        kernel = ImpulseKernel(**metadata["similarity"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{path}: not a model of deepfracture, or damaged ({error}); train it again") from error
     sizes = network.shapes(config, channels)
     n = max(len(arrays.get("rows", ())), 1)
-    codes = {"rows": (n, config.features, 7), "segment": (n, config.segment_size), "apart": (n, n)}
-    check(path, arrays, {**sizes, **codes})
+    patterns = {"rows": (n, config.features, 7), "segment": (n, config.segment_size), "apart": (n, n)}
+    check(path, arrays, {**sizes, **patterns})
     weights = {key: arrays[key].astype(np.float32) for key in sizes}
-    taught, segment, apart = (arrays[key].astype(np.float32) for key in codes)
-    choice = Choice(taught, segment, apart, similarity)
-    return Model(name, config, normaliser, Body.of(grid, surface), weights, choice, about)
+    selector = MinimumRiskSelector(*(arrays[key].astype(np.float32) for key in patterns), kernel)
+    return PartitionModel(name, config, normaliser, SplineDomain.of(grid, surface), about, weights, selector)
 
 
-def embedded_model(shape_name: str) -> Path | None:
-    """The shipped weights for a built-in shape, if there are any."""
-    path = SHIPPED / f"{shape_name}.safetensors"
-    return path if path.is_file() else None
+def _domain(shape: Shape, grid: Grid) -> SplineDomain:
+    from deepfracture.geometry import signed_distance_lattice
+
+    surface = signed_distance_lattice(shape.mesh, grid.to_world([0, 0, 0]), grid.spacing, grid.shape, outside=BAND)
+    return SplineDomain.of(grid, surface)
 
 
-def _small(name: str, value: Floats32) -> np.ndarray:
+def _stored(name: str, value: Floats32) -> np.ndarray:
     return value.astype(np.float16) if name in ("head.weight", "first.weight", "second.weight") else value

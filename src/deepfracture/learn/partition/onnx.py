@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from deepfracture.learn.partition.field import SMALL_COMPONENT
 from deepfracture.learn.partition.lattice import Lattice
-from deepfracture.learn.partition.network import OMEGA
-from deepfracture.learn.partition.selector import FAINT, VARIETY
+from deepfracture.learn.codes import OMEGA
+from deepfracture.learn.inference import BANDWIDTH
+from deepfracture.learn.partition.selector import LEAST_WEIGHT
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import atomic_file
 from deepfracture.types import BadInput, Floats32, Grid
@@ -25,7 +26,7 @@ from deepfracture.types import BadInput, Floats32, Grid
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
 
-    from deepfracture.learn.partition.model import Model
+    from deepfracture.learn.partition.model import PartitionModel
 
 OPSET, IR = 17, 8
 """Of 2022: what game engines and runtimes of some years ago read."""
@@ -35,7 +36,7 @@ INPUTS = ("impulses", "random", "rank")
 OUTPUTS = ("labels", "scores", "coefficients", "code", "order", "surface")
 
 
-def export_onnx(model: Model, path: Path) -> int:
+def export_onnx(model: PartitionModel, path: Path) -> int:
     """Write `model` to `path`, complete or not at all; returns its size [bytes].
 
     Raises:
@@ -47,25 +48,25 @@ def export_onnx(model: Model, path: Path) -> int:
     return len(data)
 
 
-def onnx_graph(model: Model) -> ModelProto:
+def onnx_graph(model: PartitionModel) -> ModelProto:
     """The graph, checked by onnx itself; docs/reference/onnx.md describes inputs and outputs."""
     require("onnx", extra="onnx", to="export a model to ONNX")
     from onnx import TensorProto, checker, helper
 
     if model.channels > MOST_LABELS:
         raise BadInput(f"{model.shape_name}: {model.channels} channels; labels are bytes, at most {MOST_LABELS}")
-    graph, grid = _Graph(), model.body.grid
+    graph, grid = _Graph(), model.domain.grid
     rows = _normalised(graph, model)
     order = _order(graph, model, rows)
     code = _code(graph, model, order)
     coefficients = _coefficients(graph, model, code)
-    scores = _scores(graph, model.body.lattice, coefficients, model.channels)
-    surface = graph.const("surface_distance", model.body.surface)
+    scores = _scores(graph, model.domain.lattice, coefficients, model.channels)
+    surface = graph.const("surface_distance", model.domain.surface)
     _labels(graph, scores, surface)
     for made, name in ((scores, "scores"), (coefficients, "coefficients"), (code, "code"), (order, "order")):
         graph.node("Identity", made, name=name)
     graph.node("Identity", surface, name="surface")
-    r, n, real = grid.resolution, len(model.choice.rows), TensorProto.FLOAT
+    r, n, real = grid.resolution, len(model.selector.impulses), TensorProto.FLOAT
     value = helper.make_tensor_value_info
     inputs = [
         value("impulses", real, [model.config.features, 7]),
@@ -75,7 +76,7 @@ def onnx_graph(model: Model) -> ModelProto:
     outputs = [
         value("labels", TensorProto.UINT8, [r, r, r]),
         value("scores", real, [r, r, r, model.channels]),
-        value("coefficients", real, [len(model.body.nodes), model.channels]),
+        value("coefficients", real, [len(model.domain.nodes), model.channels]),
         value("code", real, [model.config.code_size]),
         value("order", TensorProto.INT64, [n]),
         value("surface", real, [r, r, r]),
@@ -86,14 +87,14 @@ def onnx_graph(model: Model) -> ModelProto:
         ir_version=IR,
         producer_name="deepfracture",
     )
-    helper.set_model_props(made, facts(model))
+    helper.set_model_props(made, metadata_of(model))
     checker.check_model(made, full_check=True)
     return made
 
 
-def facts(model: Model) -> dict[str, str]:
+def metadata_of(model: PartitionModel) -> dict[str, str]:
     """What a program needs to know beside the graph, as text: the metadata of the file."""
-    grid = model.body.grid
+    grid = model.domain.grid
     return {
         "shape": model.shape_name,
         "resolution": str(grid.resolution),
@@ -101,9 +102,9 @@ def facts(model: Model) -> dict[str, str]:
         "first_voxel": json.dumps(grid.to_world([0, 0, 0]).tolist()),
         "max_impulse": repr(float(model.normaliser.max_impulse)),
         "channels": str(model.channels),
-        "codes": str(len(model.choice.rows)),
+        "codes": str(len(model.selector.impulses)),
         "crumb_voxels": str(smallest_piece(grid)),
-        "about": json.dumps(model.about),
+        "about": json.dumps(model.metadata),
     }
 
 
@@ -156,7 +157,7 @@ class _Graph:
         return self.node("Mul", value, self.node("Sigmoid", value))
 
 
-def _normalised(graph: _Graph, model: Model) -> str:
+def _normalised(graph: _Graph, model: PartitionModel) -> str:
     """J^norm, shape (features, 7), of impulses [p, d, I]: `Normaliser`."""
     scale = np.array([1, 1, 1, 1, 1, 1, 2 / model.normaliser.max_impulse], np.float32)
     shift = np.array([0, 0, 0, 0, 0, 0, -1], np.float32)
@@ -165,29 +166,29 @@ def _normalised(graph: _Graph, model: Model) -> str:
     return graph.node("Clip", moved, graph.number(-1), graph.number(1))
 
 
-def _order(graph: _Graph, model: Model, rows: str) -> str:
+def _order(graph: _Graph, model: PartitionModel, rows: str) -> str:
     """All codes, the most typical first, shape (n,): `Choice`."""
-    choice, node = model.choice, graph.node
-    similar = choice.similarity
-    scale = np.array([1, 1, 1, *3 * [similar.direction], similar.impulse], np.float32) / np.float32(similar.width)
-    apart = node("Sub", graph.const("choice.rows", choice.rows), rows)
+    selector, node = model.selector, graph.node
+    kernel = selector.kernel
+    scale = np.array([1, 1, 1, *3 * [kernel.direction], kernel.impulse], np.float32) / np.float32(kernel.width)
+    apart = node("Sub", graph.const("choice.rows", selector.impulses), rows)
     apart = node("Mul", apart, graph.const("choice.scale", scale))
     squares = node("ReduceSum", node("Mul", apart, apart), graph.ints(1, 2), keepdims=0)
     alike = node("Exp", node("Mul", squares, graph.number(-0.5)))
-    alike = node("Add", alike, graph.number(FAINT))
-    off = node("Sub", graph.const("choice.segment", choice.segment), "random")
+    alike = node("Add", alike, graph.number(LEAST_WEIGHT))
+    off = node("Sub", graph.const("choice.segment", selector.segment), "random")
     unlike = node("ReduceSum", node("Mul", off, off), graph.ints(1), keepdims=0)
-    unlike = node("Mul", unlike, graph.number(1 / (2 * VARIETY**2)))
+    unlike = node("Mul", unlike, graph.number(1 / (2 * BANDWIDTH**2)))
     least = node("ReduceMin", unlike, axes=[0], keepdims=1)
     weights = node("Mul", alike, node("Exp", node("Sub", least, unlike)))
-    risk = node("MatMul", weights, graph.small("choice.apart", choice.apart))
+    risk = node("MatMul", weights, graph.small("choice.apart", selector.pairwise))
     order = f"order_{len(graph.nodes)}"
-    node("TopK", risk, graph.ints(len(choice.rows)), axis=0, largest=0, sorted=1)
+    node("TopK", risk, graph.ints(len(selector.impulses)), axis=0, largest=0, sorted=1)
     graph.nodes[-1].output[:] = ["risk_sorted", order]
     return order
 
 
-def _code(graph: _Graph, model: Model, order: str) -> str:
+def _code(graph: _Graph, model: PartitionModel, order: str) -> str:
     """The code of rank `rank` in that order, shape (code_size,): impulse through the sine layer, then segment."""
     index = graph.node("Gather", order, "rank", axis=0)
     row = graph.node("Gather", "choice.rows", index, axis=0)
@@ -198,7 +199,7 @@ def _code(graph: _Graph, model: Model, order: str) -> str:
     return graph.node("Concat", impulse, graph.node("Gather", "choice.segment", index, axis=0), axis=0)
 
 
-def _coefficients(graph: _Graph, model: Model, code: str) -> str:
+def _coefficients(graph: _Graph, model: PartitionModel, code: str) -> str:
     """What the code makes of the waves at the nodes of the lattice, shape (nodes, channels): `network.compose`."""
     weights = model.weights
     hidden = graph.reshape(code, [1, -1])
@@ -209,10 +210,10 @@ def _coefficients(graph: _Graph, model: Model, code: str) -> str:
     made = graph.dense(hidden, weight, weights["head.bias"], "head.bias")
     matrix = graph.reshape(made, [model.config.basis, model.channels])
     # Made from constants alone, so a runtime computes these 30 MB once, when it loads the 7 MB file.
-    places = graph.const("nodes", model.body.nodes.astype(np.float32))
+    places = graph.const("nodes", model.domain.nodes.astype(np.float32))
     vectors = graph.const("waves.vector", weights["waves.vector"])
     waves = graph.node("Sin", graph.dense(places, vectors, weights["waves.phase"], "waves.phase"))
-    gain = model.body.lattice.gain(weights["waves.vector"]).astype(np.float32)
+    gain = model.domain.lattice.gain(weights["waves.vector"]).astype(np.float32)
     return graph.node("MatMul", graph.node("Mul", waves, graph.const("waves.gain", gain)), matrix)
 
 

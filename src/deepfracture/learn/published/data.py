@@ -1,74 +1,36 @@
-"""A data set as the networks that predict the GS-SDF see it."""
+"""GS-SDFs of the training samples, and the error against them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch  # noqa: TID253  (the room of torch)
 from torch import Tensor, nn  # noqa: TID253
 
-from deepfracture.carve import encode, segment
-from deepfracture.compare import variation_of_information
-from deepfracture.dataset import Dataset
-from deepfracture.geometry import signed_distance
-from deepfracture.learn.memory_map import on_disk
-from deepfracture.learn.normaliser import Normaliser
-from deepfracture.learn.partition.field import Body
-from deepfracture.learn.published.config import FieldConfig
-from deepfracture.learn.reconstruction import Probe
-from deepfracture.runtime.progress import track
-from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Volume
+from deepfracture.carve import encode
+from deepfracture.dataset import Sample
+from deepfracture.learn.memory_map import memory_map
+from deepfracture.types import Floats32
 
-PROBES = 10
-"""Training patterns whose memory is watched."""
 RIDGE = 2.0
 """Voxels over which the extra weight of a crack falls to zero."""
 
 
-@dataclass(frozen=True, eq=False)
-class Lesson:
-    """Impulses in memory and GS-SDFs on disk: each sample is read once."""
+class FieldTargets:
+    """The GS-SDF of every sample at each resolution, on disk."""
 
-    dataset: Dataset
-    body: Body
-    normaliser: Normaliser
-    impulses: Floats32
-    """J^norm, shape (n, features, 7)."""
-    fields: list[Tensor]
-    """The GS-SDF at each resolution [m], float16, shapes (n, r, r, r), clipped to what the networks can say."""
-    surfaces: list[Tensor]
-    """The distance to the surface at each resolution [m], shape (r, r, r)."""
-    probes: list[Probe]
+    def __init__(self, surface: Floats32, resolutions: tuple[int, ...], count: int, scratch: Path) -> None:
+        self.surface = surface
+        self.fields = [torch.from_numpy(memory_map(scratch, (count, r, r, r), "f2")) for r in resolutions]
+        """[m], float16, shapes (n, r, r, r), clipped to the range of tanh, the networks' last layer."""
+        self.surfaces = [coarsened(torch.tensor(surface), r) for r in resolutions]
+        """The distance to the surface at each resolution [m], shape (r, r, r)."""
 
-    @staticmethod
-    def of(dataset: Dataset, config: FieldConfig, scratch: Path) -> Lesson:
-        """Read and encode all samples; `config` has its resolutions spelt out, `scratch` is the folder of the run.
-
-        Raises:
-            BadInput: The data set is empty."""
-        if len(dataset) == 0:
-            raise BadInput(f"{dataset.path}: no collision broke the shape yet; simulate more or faster ones")
-        grid = Grid(dataset.settings.resolution)
-        body = Body.of(grid, signed_distance(dataset.shape.mesh, grid))
-        normaliser = Normaliser(dataset.max_impulse, config.features)
-        assert config.resolutions is not None
-        count = len(dataset)
-        watched = {int(i) for i in np.linspace(0, count - 1, PROBES)}
-        fields = [torch.from_numpy(on_disk(scratch, (count, r, r, r), np.float16)) for r in config.resolutions]
-        impulses, probes = [], []
-        for index, sample in enumerate(track(dataset, name="targets", total=count)):
-            impulses.append(normaliser(sample.impact))
-            exact = encode(sample.pattern, body.surface, cuts=False)
-            for field in fields:
-                field[index] = _coarser(torch.tensor(exact.values), field.shape[-1]).clamp(-1, 1)
-            if index in watched:
-                probes.append(_probe(index, sample.pattern, exact))
-        surface = torch.tensor(body.surface)
-        surfaces = [_coarser(surface, r) for r in config.resolutions]
-        rows = np.stack(impulses).astype(np.float32)
-        return Lesson(dataset, body, normaliser, rows, fields, surfaces, probes)
+    def add(self, index: int, sample: Sample) -> None:
+        """Encode one sample."""
+        exact = torch.tensor(encode(sample.pattern, self.surface, cuts=False).values)
+        for field in self.fields:
+            field[index] = coarsened(exact, field.shape[-1]).clamp(-1, 1)
 
 
 def squared_error(found: Tensor, truth: Tensor, surface: Tensor, ridge_weight: float) -> Tensor:
@@ -76,7 +38,7 @@ def squared_error(found: Tensor, truth: Tensor, surface: Tensor, ridge_weight: f
 
     Args:
         found: Predicted GS-SDF [m], shape (b, r, r, r).
-        truth: What was to be predicted.
+        truth: The exact one.
         surface: Distance to the surface [m], shape (r, r, r): where the truth lies below it, a crack is nearer.
     """
     error = (found - truth) ** 2
@@ -88,14 +50,7 @@ def squared_error(found: Tensor, truth: Tensor, surface: Tensor, ridge_weight: f
     return (weight * error).mean(dim=(1, 2, 3)) / weight.mean(dim=(1, 2, 3))
 
 
-def _probe(index: int, pattern: FracturePattern, exact: Volume) -> Probe:
-    """A pattern that is watched, with the ceiling of what is predicted here: distances alone."""
-    found = segment(exact)
-    apart = variation_of_information(pattern.labels, found.labels, pattern.labels > 0)
-    return Probe(index, pattern, exact, found.count, apart)
-
-
-def _coarser(field: Tensor, resolution: int) -> Tensor:
+def coarsened(field: Tensor, resolution: int) -> Tensor:
     """The field at the centres of a coarser grid: the mean of the voxels in each of its voxels."""
     step = field.shape[-1] // resolution
     return nn.functional.avg_pool3d(field[None], step)[0] if step > 1 else field

@@ -1,7 +1,7 @@
 """DeepSDF's autodecoder (Park et al. 2019): eight layers from a code and a position to a distance.
 
-A step takes the same positions for all its patterns; what the first layers make of a code and of a position
-adds up, so that the code's part is computed once a pattern.
+A batch shares its positions, and a linear layer of [code, position] is the sum of one of the code and one of the
+position: the code's part is computed once per sample.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 import torch  # noqa: TID253  (the room of torch)
 from torch import Tensor, nn  # noqa: TID253
 
-from deepfracture.learn.published.config import FieldConfig
+from deepfracture.learn.published.config import PublishedConfig
 
 WIDTH = 512
 LAYERS = 8
 SKIP = 4
-"""Layer that reads code and position again."""
+"""Layer that code and position enter again."""
 
 
 class CoordinateMLP(nn.Module):
     """Codes, shape (b, code_size), and positions [m], shape (p, 3), to distances [m], shape (b, p)."""
 
-    def __init__(self, config: FieldConfig) -> None:
+    def __init__(self, config: PublishedConfig) -> None:
         super().__init__()
         width = max(8, round(WIDTH * config.width))
         self.of_code = nn.ModuleList([nn.Linear(config.code_size, width) for _ in range(2)])

@@ -1,10 +1,10 @@
 """The paper's code-to-voxel autodecoder: a linear layer to a coarse grid, then transposed convolutions.
 
-In the manner of 3D-GAN (Wu et al. 2016): 8n, 4n, 2n, n channels, kernels of 4 and strides of 2, n = 64. At
-r = 128 with a code of 136 numbers that makes the 47 million weights (188 MB) that the paper reports.
+After 3D-GAN (Wu et al. 2016): 8n, 4n, 2n, n channels, kernels of 4 and strides of 2, n = 64. At
+r = 128 with a code of 136 numbers these are the 47 million weights (188 MB) that the paper reports.
 
-The normalisation is a batch's of one pattern, as in the paper, whatever the batch: each pattern has its own
-statistics, in training and in prediction alike, so that several processes learn what one learns.
+The paper's batch normalisation with batches of one is instance normalisation: each sample has its own statistics, in
+training and in prediction alike, so that several processes learn what one learns.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from __future__ import annotations
 import torch  # noqa: TID253  (the room of torch)
 from torch import Tensor, nn  # noqa: TID253
 
-from deepfracture.learn.published.config import FieldConfig
+from deepfracture.learn.published.config import PublishedConfig
 
 CHANNELS = 64
 TRUNK = 128
-"""Finest resolution that the linear layer's grid grows with; 256 takes one more doubling."""
+"""Finest resolution that the linear layer's grid grows with; 256 takes one more upsampling."""
 
 
 class PaperDecoder(nn.Module):
     """Codes, shape (b, code_size), to a GS-SDF [m] a resolution, coarse to fine, shapes (b, r, r, r)."""
 
-    def __init__(self, config: FieldConfig) -> None:
+    def __init__(self, config: PublishedConfig) -> None:
         super().__init__()
         assert config.resolutions is not None
         n = max(2, round(CHANNELS * config.width))
@@ -30,12 +30,12 @@ class PaperDecoder(nn.Module):
         self.trunk = min(TRUNK, self.resolutions[-1])
         self.base = self.trunk // 16
         self.first = nn.Linear(config.code_size, 8 * n * self.base**3)
-        self.doublings = nn.ModuleList([_doubling(8 * n, 4 * n), _doubling(4 * n, 2 * n), _doubling(2 * n, n)])
+        self.doublings = nn.ModuleList([_upsampling(8 * n, 4 * n), _upsampling(4 * n, 2 * n), _upsampling(2 * n, n)])
         self.taps = [min(resolution, self.trunk) // 2 for resolution in self.resolutions]
         self.heads = nn.ModuleList()
         for resolution, tap in zip(self.resolutions, self.taps, strict=True):
             channels = n * self.trunk // (2 * tap)
-            finer = [_doubling(channels, channels // 2)] if resolution > self.trunk else []
+            finer = [_upsampling(channels, channels // 2)] if resolution > self.trunk else []
             self.heads.append(nn.Sequential(*finer, *_head(channels // 2 if finer else channels)))
 
     def forward(self, codes: Tensor) -> list[Tensor]:
@@ -51,10 +51,10 @@ class PaperDecoder(nn.Module):
         return fields
 
 
-def _doubling(inputs: int, outputs: int) -> nn.Sequential:
+def _upsampling(inputs: int, outputs: int) -> nn.Sequential:
     up = nn.ConvTranspose3d(inputs, outputs, 4, 2, 1)
     assert up.bias is not None
-    up.bias.requires_grad_(False)  # the normalisation takes it out again: its gradient is rounding noise
+    up.bias.requires_grad_(False)  # the normalisation subtracts it again: its gradient is rounding noise
     return nn.Sequential(up, nn.InstanceNorm3d(outputs, affine=True), nn.LeakyReLU(0.2))
 
 
