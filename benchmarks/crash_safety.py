@@ -310,12 +310,11 @@ def _train(data: Path, out: Path, preset: str) -> None:
     import torch
 
     from deepfracture.learn import training
-    from deepfracture.learn.published import training as fields
 
     torch.set_num_threads(1)
-    training.KEEP_EVERY = fields.KEEP_EVERY = 0.0  # a checkpoint after each epoch
+    training.CHECKPOINT_SECONDS = 0.0  # a checkpoint after each epoch
     clock = SimpleNamespace(perf_counter=lambda: 0.0, monotonic=time.monotonic)
-    training.time = fields.time = clock  # pyright: ignore[reportAttributeAccessIssue]
+    training.time = clock  # pyright: ignore[reportAttributeAccessIssue]
     size = [] if preset == "waves" else ["--preset", preset, "--width", "0.125"]
     main(["-q", "train", str(data), "--out", str(out), "--epochs", "40" if preset == "waves" else "6", *size])
 

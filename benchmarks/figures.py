@@ -22,8 +22,8 @@ from deepfracture.carve import cut, encode, segment
 from deepfracture.fracture import prepare_body
 from deepfracture.fracture import simulate as fracture
 from deepfracture.geometry import signed_distance
-from deepfracture.learn import Model, embedded_model, load_model, predict
-from deepfracture.learn.partition import network
+from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
+from deepfracture.learn.codes import encode_impulses
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log
 from deepfracture.types import Floats, Fragments, Grid, Impact, Shape, Volume
@@ -118,8 +118,8 @@ def learned(shape: Shape, resolution: int, view: tuple[int, int]) -> Any:
     rng = np.random.default_rng(0)
     rows = model.normaliser(impact).astype(np.float32)
     random = np.random.default_rng(0).standard_normal(model.config.segment_size, np.float32)
-    code = network.encode_impulses(model.weights, rows[None], np)[0]
-    volume = predict(model, impact, rng)
+    code = encode_impulses(model.weights, rows[None])[0]
+    volume = model.predict(impact, rng)
     pattern = segment(volume)
     fragments = cut(shape, pattern, density=df.material(MATERIAL).density)
     figure, axes = _row(5)
@@ -139,14 +139,14 @@ def learned(shape: Shape, resolution: int, view: tuple[int, int]) -> Any:
 def codes(shape: Shape, resolution: int, view: tuple[int, int]) -> Any:
     """One blow, four random codes."""
     model = _model(shape, resolution)
-    found = [segment(predict(model, blow(shape), np.random.default_rng(seed))) for seed in (0, 1, 2, 5)]
+    found = [segment(model.predict(blow(shape), np.random.default_rng(seed))) for seed in (0, 1, 2, 5)]
     return _views(shape, found, [f"random code {k + 1}: {p.count} fragments" for k, p in enumerate(found)], view)
 
 
 def impulses(shape: Shape, resolution: int, view: tuple[int, int]) -> Any:
     """One place, ever harder."""
     model = _model(shape, resolution)
-    found = [segment(predict(model, blow(shape, impulse), np.random.default_rng(0))) for impulse in IMPULSES]
+    found = [segment(model.predict(blow(shape, impulse), np.random.default_rng(0))) for impulse in IMPULSES]
     names = [f"{impulse:.0f} N s: {p.count} fragments" for impulse, p in zip(IMPULSES, found, strict=True)]
     return _views(shape, found, names, view)
 
@@ -159,10 +159,10 @@ FIGURES: dict[str, Callable[[Shape, int, tuple[int, int]], Any]] = {
 }
 
 
-def _model(shape: Shape, resolution: int) -> Model:
+def _model(shape: Shape, resolution: int) -> PartitionModel:
     path = embedded_model(shape.name)
     assert path is not None, "the pot's model ships with the program"
-    return load_model(path).at(shape, resolution)
+    return load_partition_model(path).at(shape, resolution)
 
 
 def _views(shape: Shape, patterns: list[df.FracturePattern], names: list[str], view: tuple[int, int]) -> Any:
@@ -217,10 +217,10 @@ def _arrow(axis: Axes, impact: Impact) -> None:
     axis.annotate("", (x, z), (x - 0.4 * dx, z - 0.4 * dz), arrowprops=arrow)
 
 
-def _memory(axis: Axes, model: Model, rows: Floats | NDArray, random: NDArray) -> None:
+def _memory(axis: Axes, model: PartitionModel, rows: Floats | NDArray, random: NDArray) -> None:
     """How alike the blow of each training pattern is, against how far its code is from what could happen."""
-    alike = model.choice.similarity(model.choice.rows, rows)
-    order = model.choice(rows, random)
+    alike = model.selector.kernel(model.selector.impulses, rows)
+    order = model.selector(rows, random)
     rank = np.empty(len(order))
     rank[order] = np.arange(1, len(order) + 1)
     axis.plot(rank, alike, "o", ms=3, color="#c9a27e")

@@ -32,7 +32,7 @@ from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.fracture import material
 from deepfracture.geometry import BUILTIN, load_shape, signed_distance
 from deepfracture.geometry.untangle import crossing_faces
-from deepfracture.learn import Model, embedded_model, load_model, predict
+from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Ints, Shape, Volume
@@ -50,7 +50,7 @@ class Source:
 
     shape: Shape
     grid: Grid
-    model: Model | None
+    model: PartitionModel | None
     dataset: Dataset | None
 
     @cached_property
@@ -78,7 +78,7 @@ def predicted(source: Source, number: int, rng: np.random.Generator) -> Fracture
     assert source.model is not None
     seed = int(rng.integers(2**31))
     hit = throw(source.shape, material("plaster"), number, seed=seed, speed=SPEEDS)
-    return segment(predict(source.model, hit.impact, rng))
+    return segment(source.model.predict(hit.impact, rng))
 
 
 def simulated(source: Source, number: int, rng: np.random.Generator) -> FracturePattern:
@@ -217,12 +217,12 @@ def shapes_by_name(data: Path) -> dict[str, Callable[[], tuple[Shape, str]]]:
     return made
 
 
-def _model(shape: Shape, grid: Grid, models: Sequence[Path]) -> Model | None:
+def _model(shape: Shape, grid: Grid, models: Sequence[Path]) -> PartitionModel | None:
     shipped = embedded_model(shape.name)
     for path in (*models, *([shipped] if shipped else [])):
-        model = load_model(path)
+        model = load_partition_model(path)
         if model.shape_name == shape.name:
-            return model if model.body.grid == grid else model.at(shape, grid.resolution)
+            return model if model.domain.grid == grid else model.at(shape, grid.resolution)
     return None
 
 

@@ -303,15 +303,15 @@ def _model(folder: Path) -> Any:
 
 
 def _field_model(folder: Path) -> Any:
-    from deepfracture.learn.published import load_field_model
+    from deepfracture.learn import load_model
 
-    return load_field_model(folder / "field.safetensors", device="cpu")
+    return load_model(folder / "field.safetensors", device="cpu")
 
 
 def _checkpoint(folder: Path) -> Any:
     """Go on from it: what is damaged is refused, what is not of this run, too."""
     run = TRAINING["run"]
-    run.restore(folder / "run" / "checkpoint.safetensors")
+    run.load_checkpoint(folder / "run" / "checkpoint.safetensors")
 
 
 TRAINING: dict[str, Any] = {}
@@ -324,19 +324,24 @@ def _models(folder: Path) -> Sequence[Path]:
 
     import torch
 
-    from deepfracture.learn.published import FieldConfig, train_field
-    from deepfracture.learn.training import _Lesson, _Run, train
+    from deepfracture.learn import PartitionConfig, PublishedConfig, TrainOptions, train
+    from deepfracture.learn.distributed import DistributedContext
+    from deepfracture.learn.partition.train_step import PartitionTrainStep
+    from deepfracture.learn.training import Run
 
     torch.set_num_threads(1)
     made = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "unit" / "learn" / "test_training.py"))
     data = made["made"](folder / "data", 2)
-    small = made["Config"](impulse_size=8, segment_size=4, hidden=8, basis=16, batch=2, points=50)
-    train(data, folder / "run", small, epochs=1, minutes=None, resume=True, device="cpu", seed=0)
-    tiny = FieldConfig("paper", 0.02, impulse_size=8, segment_size=4)
-    train_field(data, folder / "field", tiny, epochs=1, device="cpu")
+    small = PartitionConfig(impulse_size=8, segment_size=4, hidden=8, basis=16, batch=2, points=50)
+    options = TrainOptions(epochs=1, device="cpu")
+    train(data, folder / "run", options, config=small)
+    tiny = PublishedConfig("paper", 0.02, impulse_size=8, segment_size=4)
+    train(data, folder / "field", options, config=tiny)
     shutil.move(folder / "run" / "model.safetensors", folder / "model.safetensors")
     shutil.move(folder / "field" / "model.safetensors", folder / "field.safetensors")
-    TRAINING["run"] = _Run(_Lesson.of(data, small, folder / "run"), small, 0, torch.device("cpu"))
+    context = DistributedContext(torch.device("cpu"))
+    step = PartitionTrainStep(data, small, 0, context.device, folder / "run")
+    TRAINING["run"] = Run(step, 0, context)
     return [folder]
 
 

@@ -22,7 +22,7 @@ from deepfracture.compare import describe
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
 from deepfracture.learn import Normaliser
-from deepfracture.learn.partition.selector import Choice, fit, mean_distance
+from deepfracture.learn.partition.selector import MinimumRiskSelector, fit_kernel, pairwise_distances
 from deepfracture.runtime.progress import stage
 from deepfracture.types import BadInput, FracturePattern, Impact, Shape
 
@@ -31,16 +31,16 @@ SEGMENT_SIZE = 8
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The most typical of the first patterns of a data set."""
+    """The pattern of least Bayes risk among the first ones of a data set."""
 
     memory: Memory
     normaliser: Normaliser
-    choice: Choice
+    selector: MinimumRiskSelector
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("choose"):
             random = rng.standard_normal(SEGMENT_SIZE, np.float32)
-            return self.memory.pattern(int(self.choice(self.normaliser(impact).astype(np.float32), random)[0]))
+            return self.memory.pattern(int(self.selector(self.normaliser(impact).astype(np.float32), random)[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +95,13 @@ def sources(train: Dataset, sizes: Sequence[int]) -> dict[str, PatternSource]:
     impacts = train.impacts()
     normaliser = Normaliser(train.max_impulse)
     rows = np.stack([normaliser(impact) for impact in impacts]).astype(np.float32)
-    apart = mean_distance([describe(memory.pattern(index), impacts[0]) for index in range(len(train))])
+    apart = pairwise_distances([describe(memory.pattern(index), impacts[0]) for index in range(len(train))])
     segment = np.random.default_rng(0).standard_normal((len(rows), SEGMENT_SIZE)).astype(np.float32)
-    whole = Choice(rows, segment, apart, fit(rows, apart))
+    whole = MinimumRiskSelector(rows, segment, apart, fit_kernel(rows, apart))
     found: dict[str, PatternSource] = {}
     for n in sizes:
-        part = replace(
-            whole, rows=rows[:n], segment=segment[:n], apart=apart[:n, :n], similarity=fit(rows[:n], apart[:n, :n])
-        )
+        kernel = fit_kernel(rows[:n], apart[:n, :n])
+        part = replace(whole, impulses=rows[:n], segment=segment[:n], pairwise=apart[:n, :n], kernel=kernel)
         found[f"nearest of {n}"] = Closest(memory, normaliser, n)
         found[f"typical of {n}"] = Chosen(memory, normaliser, part)
     return found

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from harness import quickest, start, table, write_text
 
-from deepfracture.learn import Model, embedded_model, load_model, predict
+from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
 from deepfracture.learn.partition import network
 from deepfracture.learn.partition.onnx import export_onnx, spline_matrix
 from deepfracture.runtime.extras import require
@@ -21,7 +21,7 @@ from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Impact
 
 
-def random_hit(model: Model, rng: np.random.Generator) -> Impact:
+def random_hit(model: PartitionModel, rng: np.random.Generator) -> Impact:
     """An impulse somewhere in the box of the body."""
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
@@ -29,21 +29,23 @@ def random_hit(model: Model, rng: np.random.Generator) -> Impact:
     return Impact([rng.uniform(-1, 1, 3)], [direction], [magnitude], [-direction], speed=9.0, radius=0.2)
 
 
-def torch_labels(model: Model) -> Callable[[int], Any]:
+def torch_labels(model: PartitionModel) -> Callable[[int], Any]:
     """The graph's decoder in torch: from the number of a code to the labels."""
     torch = require("torch", extra="train", to="compare with torch")
-    lattice, channels = model.body.lattice, model.channels
-    side, r = lattice.number.shape[0], model.body.grid.resolution
+    lattice, channels = model.domain.lattice, model.channels
+    side, r = lattice.number.shape[0], model.domain.grid.resolution
     weights = {name: torch.from_numpy(value) for name, value in model.weights.items()}
-    waves, codebook = torch.from_numpy(model.waves), torch.from_numpy(model.codebook)
+    waves, codebook = torch.from_numpy(model.node_features), torch.from_numpy(model.codebook)
     matrix = torch.from_numpy(spline_matrix(lattice))
     number = torch.from_numpy(np.where(lattice.number < 0, len(lattice.nodes), lattice.number).ravel().astype(np.int64))
-    inside = torch.from_numpy(model.body.surface > 0)
+    inside = torch.from_numpy(model.domain.surface > 0)
     nothing = torch.zeros(1, channels)
 
     def labels(index: int) -> Any:
         with torch.no_grad():
-            values = torch.cat([waves @ network.compose(weights, codebook[index][None], torch)[0], nothing])[number]
+            values = torch.cat([waves @ network.mixing_matrices(weights, codebook[index][None], torch)[0], nothing])[
+                number
+            ]
             for shape in ((side, side * side * channels), (r, side, side * channels), (r, r, side, channels)):
                 values = matrix @ values.reshape(shape)
             return (values.argmax(dim=3) + 1) * inside
@@ -57,7 +59,7 @@ def measured(name: str, runs: int, folder: Path) -> list[object]:
     path = embedded_model(name)
     if path is None:
         raise BadInput(f"{name}: no model of this shape ships")
-    model, rng = load_model(path), np.random.default_rng(0)
+    model, rng = load_partition_model(path), np.random.default_rng(0)
     size = export_onnx(model, folder / f"{name}.onnx")
     session = ort.InferenceSession(str(folder / f"{name}.onnx"), providers=["CPUExecutionProvider"])
     impact, random = random_hit(model, rng), rng.standard_normal(model.config.segment_size, np.float32)
@@ -70,7 +72,7 @@ def measured(name: str, runs: int, folder: Path) -> list[object]:
     return [
         name,
         f"{size / 1e6:.1f}",
-        f"{quickest(lambda: predict(model, impact, np.random.default_rng(0)), runs):.1f}",
+        f"{quickest(lambda: model.predict(impact, np.random.default_rng(0)), runs):.1f}",
         f"{quickest(lambda: in_torch(int(index[0])), runs):.1f}",
         f"{quickest(lambda: session.run(['labels'], feed), runs):.1f}",
     ]

@@ -14,8 +14,8 @@ import torch  # noqa: TID253  (a program, not a room)
 from harness import start
 
 from deepfracture.learn.distributed import pick_device
-from deepfracture.learn.published import preset
-from deepfracture.learn.published.model import build, prepared
+from deepfracture.learn.published.config import preset
+from deepfracture.learn.published.model import build, to_device
 from deepfracture.learn.published.train_step import faster_precision
 from deepfracture.runtime.memory import peak_mb
 from deepfracture.runtime.progress import log
@@ -34,7 +34,7 @@ def paper_step(resolution: int = 128, width: float = 1.0, device: str = "auto", 
     chosen = pick_device(device)
     precision = faster_precision(chosen)
     config = preset("paper", width=width).at(resolution)
-    network = prepared(build(config, np.zeros(0, np.float32)), chosen)
+    network = to_device(build(config, np.zeros(0, np.float32)), chosen)
     optimiser = torch.optim.Adam([p for p in network.parameters() if p.requires_grad], lr=3e-3, fused=True)
     code = torch.randn(1, config.code_size, device=chosen)
     truth = torch.rand((1, *(resolution,) * 3), device=chosen)

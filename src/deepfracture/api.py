@@ -34,9 +34,8 @@ from deepfracture.dataset.options import SimulateOptions
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset_material
 from deepfracture.geometry import closest, load_shape
-from deepfracture.learn.options import OURS, PRESETS, TrainOptions
+from deepfracture.learn.options import TrainOptions
 from deepfracture.runtime.options import with_changes
-from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Breaker, Floats, Fragments, Impact, Material, Recording, Shape
 from deepfracture.world import UPRIGHT, Collision, Outcome, Scene, save_scene
 from deepfracture.world import simulate as run_world
@@ -44,7 +43,7 @@ from deepfracture.world import throw_scene as built_scene
 
 if TYPE_CHECKING:
     from deepfracture.dataset import Dataset
-    from deepfracture.learn.report import Card
+    from deepfracture.learn.report import TrainingReport
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 DOWNWARD = 0.15
@@ -53,9 +52,6 @@ ON_SURFACE = 0.01
 """A ray may start this far below the surface and still hit it there [m]."""
 EDGE = 1e-9
 """Barycentric tolerance: a ray through an edge meets one of its faces."""
-EPOCHS = {True: 400, False: 1000}
-"""Passes over the data when nothing else is asked for: our network's, some ten minutes for 200 patterns at r = 64 on
-two cores; and the paper's."""
 
 
 def load(name: PathLike, *, repair: bool = False) -> Shape:
@@ -437,28 +433,14 @@ def train(dataset: Dataset | PathLike, out: PathLike, options: TrainOptions | No
     return train_with_card(dataset, out, with_changes(options or TrainOptions(), changes)).path
 
 
-def train_with_card(dataset: Dataset | PathLike, out: PathLike, options: TrainOptions) -> Card:
+def train_with_card(dataset: Dataset | PathLike, out: PathLike, options: TrainOptions) -> TrainingReport:
     """What `train` does; returns the weights' path together with what a reader wants to know of the run."""
     from deepfracture.dataset import Dataset, open_dataset
-    from deepfracture.learn import Config, published
-    from deepfracture.learn import train as train_waves
+    from deepfracture.learn import train as run
+    from deepfracture.learn.presets import with_default_epochs
 
-    preset, epochs = options.preset, options.epochs
-    if preset not in PRESETS:
-        raise BadInput(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}{did_you_mean(preset, PRESETS)}")
-    ours = preset == OURS
-    if ours and options.width != 1:
-        raise BadInput(f"width {options.width:g}: only for the presets {', '.join(PRESETS[1:])}; leave it out")
-    if epochs is None and options.minutes is None:
-        epochs = EPOCHS[ours]
     data = dataset if isinstance(dataset, Dataset) else open_dataset(Path(dataset))
-    run: dict[str, Any] = {
-        "epochs": epochs, "minutes": options.minutes, "device": options.device, "seed": options.seed,
-    }  # fmt: skip
-    if ours:
-        return train_waves(data, Path(out), Config(features=options.features), **run)
-    config = published.preset(preset, width=options.width, features=options.features)
-    return published.train_field(data, Path(out), config, **run)
+    return run(data, Path(out), with_default_epochs(options))
 
 
 def _material(given: str | Material) -> Material:

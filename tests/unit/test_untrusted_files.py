@@ -29,9 +29,8 @@ from deepfracture.export import write_fragments, write_glb, write_sequence, writ
 from deepfracture.fracture.cache import _load_array
 from deepfracture.fracture.elastostatics import ElasticBody
 from deepfracture.geometry import load_shape
-from deepfracture.learn import embedded_model, load_model
+from deepfracture.learn import embedded_model, load_model, model_kind
 from deepfracture.learn.checkpoint import KEY, read
-from deepfracture.learn.published import kind_of
 from deepfracture.play.library import read_upload
 from deepfracture.runtime.files import FORMER, LOCK, NEW, PREFIX, atomic_contents, atomic_folder, remove_stale
 from deepfracture.runtime.progress import log
@@ -60,7 +59,7 @@ def readers() -> dict[str, Callable[[Path], object]]:
     }
     return meshes | {
         "model.safetensors": load_model,
-        "field.safetensors": kind_of,
+        "field.safetensors": model_kind,
         "checkpoint.safetensors": lambda path: read(path, "training checkpoint"),
         "scene.toml": load_scene,
         "scene.json": load_scene,

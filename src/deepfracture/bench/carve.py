@@ -17,7 +17,7 @@ from deepfracture.bench.rows import RUNS, Row, measure, seconds, stage_totals
 from deepfracture.carve import cut, encode, segment, segment_as_published
 from deepfracture.fracture import material
 from deepfracture.geometry import signed_distance
-from deepfracture.learn import Model, embedded_model, load_model, predict
+from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
 from deepfracture.runtime.memory import peak_mb
 from deepfracture.runtime.progress import StageTimer, collect_stages, log
 from deepfracture.types import BadInput, Floats32, FracturePattern, Grid, Impact, Shape, Volume
@@ -86,8 +86,8 @@ def _drawn(shape: Shape, resolution: int) -> _Field:
 
 def _predicted(shape: Shape, resolution: int, path: Path) -> _Field:
     """The prediction for the one of `HITS` random collisions whose fragments number nearest to `FRAGMENTS`."""
-    own = load_model(path)
-    if not own.fits(shape):
+    own = load_partition_model(path)
+    if not own.matches_shape(shape):
         raise BadInput(f"{path}: trained on {own.shape_name}, not on {shape.name}; give a model of this shape")
     hits = random_hits(shape, material("plaster"), HITS, speeds=SPEEDS)
     chosen = min(hits, key=lambda hit: abs(segment(_draw(own, hit)).count - FRAGMENTS))
@@ -96,11 +96,11 @@ def _predicted(shape: Shape, resolution: int, path: Path) -> _Field:
         model = own.at(shape, resolution)
     make = partial(_draw, model, chosen)
     prepared = _medians(shape, Grid(resolution), [watch.seconds], {})
-    return _Field(make(), model.body.surface, make, tuple(prepared))
+    return _Field(make(), model.domain.surface, make, tuple(prepared))
 
 
-def _draw(model: Model, impact: Impact) -> Volume:
-    return predict(model, impact, np.random.default_rng(0))
+def _draw(model: PartitionModel, impact: Impact) -> Volume:
+    return model.predict(impact, np.random.default_rng(0))
 
 
 def _cut_rows(shape: Shape, pattern: FracturePattern) -> list[Row]:

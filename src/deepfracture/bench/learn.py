@@ -11,7 +11,7 @@ from deepfracture.bench.paper import paper_seconds
 from deepfracture.bench.rows import Row, measure
 from deepfracture.fracture import material
 from deepfracture.geometry import load_shape
-from deepfracture.learn import embedded_model, load_model, predict
+from deepfracture.learn import embedded_model, load_model
 from deepfracture.types import Shape
 
 SHIPPED = "pot"
@@ -27,9 +27,9 @@ def bench_learn(shape: Shape, resolution: int, path: Path | None = None) -> list
     assert path is not None, "the shipped model is part of the package"
     model = load_model(path)
     impact = random_hits(shape, material("plaster"), 1)[0]
-    own = model.body.grid.resolution
+    own = model.domain.grid.resolution
     jobs = {
         "load": lambda: load_model(path),
-        "predict": lambda: predict(model, impact, np.random.default_rng(0)),
+        "predict": lambda: model.predict(impact, np.random.default_rng(0)),
     }
     return [measure(name, shape.name, own, job, paper_seconds(name, shape.name, own)) for name, job in jobs.items()]

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from deepfracture.breakers.base import PatternBreaker, PatternSource
 from deepfracture.breakers.options import BREAKERS, BreakerOptions
 from deepfracture.runtime.progress import log
 from deepfracture.runtime.suggest import did_you_mean
-from deepfracture.types import BadInput, Breaker, Grid, Impact, Material, Shape, Volume
+from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
 
 if TYPE_CHECKING:
     from deepfracture.breakers.recalled import Memory
     from deepfracture.learn import Model
-    from deepfracture.learn.published.model import FieldModel
 
 
 def make_breaker(name: str, shape: Shape, material: Material, options: BreakerOptions | None = None) -> Breaker:
@@ -78,76 +74,37 @@ def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSour
 
 
 def ways(shape: Shape, material: Material, path: Path, memory: Memory | None = None) -> dict[str, PatternSource]:
-    """The model in the file `path` as a source, and then what it is without one or another of its parts.
+    """The model in the file `path` as a source, by the name "", and without one or another of its parts.
 
     Args:
-        memory: The training patterns, for the choice without the network.
+        memory: The training patterns, for the selection of a code without the network.
 
     Raises:
         BadInput: There is no model in the file, or it is of another shape."""
-    from deepfracture.learn.published import kind_of
-
-    return (
-        _field_ways(shape, material, path)
-        if kind_of(path) == "field model"
-        else _wave_ways(shape, material, path, memory)
-    )
-
-
-def _wave_ways(shape: Shape, material: Material, path: Path, memory: Memory | None) -> dict[str, PatternSource]:
-    from deepfracture.breakers.learned import Learned, Typical
-    from deepfracture.learn import AS_PUBLISHED, OURS, Way, load_model, predictions
+    from deepfracture.breakers.learned import Learned, SelectedPattern
+    from deepfracture.learn import PartitionModel, load_model
 
     model = load_model(path)
     _check(model, shape, material, path)
-    found = {
-        "": OURS,
-        "nearest code": AS_PUBLISHED,
-        "nearest impulse": Way("nearest", random=False),
-        "no quantisation": Way("free"),
-        "no random code": Way(random=False),
-    }
+    settings = {"": model.inference, **model.ablations}
     sources: dict[str, PatternSource] = {
-        name: Learned(partial(predictions, model, way=way), _weakest(model)) for name, way in found.items()
+        name: Learned(partial(model.predictions, inference=inference), model.weakest_impulse)
+        for name, inference in settings.items()
     }
-    if memory is not None:
-        if len(model.choice.rows) != len(memory.dataset):
-            raise BadInput(f"{path}: trained on {len(model.choice.rows)} patterns, {memory.dataset.path} holds others")
-        sources["no network"] = Typical(model, memory)
+    if memory is not None and isinstance(model, PartitionModel):
+        if len(model.codebook) != len(memory.dataset):
+            raise BadInput(f"{path}: trained on {len(model.codebook)} patterns, {memory.dataset.path} holds others")
+        sources["no network"] = SelectedPattern(model, memory)
     return sources
 
 
-def _weakest(model: Model) -> float:
-    """The weakest impulse that broke the shape in training [N s]."""
-    return float(model.choice.rows[:, 0, 6].min() + 1) / 2 * model.normaliser.max_impulse
-
-
-def _field_ways(shape: Shape, material: Material, path: Path) -> dict[str, PatternSource]:
-    from deepfracture.breakers.learned import Learned
-    from deepfracture.learn.published import load_field_model
-
-    model = load_field_model(path)
-    _check(model, shape, material, path)
-    found = {
-        "": model,
-        "no quantisation": model.variant(quantised=False),
-        "no segment code": model.variant(segment_code=False),
-    }
-    return {name: Learned(partial(_only, one)) for name, one in found.items()}
-
-
-def _only(model: FieldModel, impact: Impact, rng: np.random.Generator) -> Iterator[Volume]:
-    """As published: what the network says stands, if it is one piece too."""
-    yield model.predict(impact, rng)
-
-
-def _check(model: Model | FieldModel, shape: Shape, material: Material, path: Path) -> None:
-    """The model is of this shape; that it is of another material is worth a word."""
-    if not model.fits(shape):
+def _check(model: Model, shape: Shape, material: Material, path: Path) -> None:
+    """Refuse a model of another shape; warn of another material."""
+    if not model.matches_shape(shape):
         raise BadInput(f"{path}: trained on another shape ({model.shape_name}), not on {shape.name}")
-    taught = model.about.get("material", material.name)
-    if taught != material.name:
-        log.warning("%s: trained on %s, so its cracks are those of %s", path, taught, taught)
+    trained = model.metadata.get("material", material.name)
+    if trained != material.name:
+        log.warning("%s: trained on %s, so the result is for %s, not for %s", path, trained, trained, material.name)
 
 
 def recall(shape: Shape, path: Path) -> Memory:

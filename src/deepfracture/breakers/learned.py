@@ -15,7 +15,7 @@ from deepfracture.runtime.progress import log, stage
 from deepfracture.types import FracturePattern, Impact, Shape, Volume
 
 if TYPE_CHECKING:
-    from deepfracture.learn import Model
+    from deepfracture.learn import PartitionModel
 
 ATTEMPTS = 5
 """Codes that are tried before the shape holds."""
@@ -23,24 +23,24 @@ ATTEMPTS = 5
 
 @dataclass(frozen=True)
 class Learned:
-    """Predict the GS-SDF, then segment it; what would leave the shape whole gives way to the next answer.
+    """Predict the GS-SDF, then segment it; where that leaves the shape whole, take the next prediction.
 
-    A model knows one shape. A fragment of it is carved by a fresh prediction of the whole, for a blow at the
-    place where it meets the fragment and as strong as it is for the fragment (by dynamic similarity), of which
-    the fragment takes what lies within it. It holds where `ATTEMPTS` answers part it nowhere, and where the
-    blow is weaker than any that has broken the whole in training: of those a model knows nothing."""
+    A model knows one shape. A fragment of it breaks by a new prediction for the whole shape, restricted to the
+    fragment: for an impact at the same place, as strong as it is for the fragment (by dynamic similarity). The fragment
+    holds if `ATTEMPTS` predictions leave it whole, and if the impact is weaker than all that broke the shape in
+    training, of which a model knows nothing."""
 
-    answers: Callable[[Impact, np.random.Generator], Iterator[Volume]]
-    """Predictions for an impact, the best first."""
-    weakest: float = 0.0
-    """Impulse that broke the whole in training with the least effort [N s]."""
+    predictions: Callable[[Impact, np.random.Generator], Iterator[Volume]]
+    """For an impact, the best first."""
+    weakest_impulse: float = 0.0
+    """Least impulse that broke the shape in training [N s]."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         if shape.whole is not None:
-            if impact.magnitude[0] < self.weakest:
+            if impact.magnitude[0] < self.weakest_impulse:
                 return None
             impact = on_whole(impact, shape)
-        found = self.answers(impact, rng)
+        found = self.predictions(impact, rng)
         for attempt in range(ATTEMPTS):
             with stage("predict"):
                 volume = next(found, None)
@@ -59,16 +59,16 @@ class Learned:
 
 
 @dataclass(frozen=True, eq=False)
-class Typical:
-    """The model's choice without its network: the stored pattern of the code, as it is.
+class SelectedPattern:
+    """The model's selection of a code without its network: the training pattern of the code.
 
-    What the choice is worth by itself; the model must have been trained on the patterns of `memory`."""
+    Measures the selection by itself; the model must have been trained on the patterns of `memory`."""
 
-    model: Model
+    model: PartitionModel
     memory: Memory
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("choose"):
-            rows = self.model.normaliser(impact).astype(np.float32)
+            impulses = self.model.normaliser(impact).astype(np.float32)
             random = rng.standard_normal(self.model.config.segment_size, np.float32)
-            return self.memory.pattern(int(self.model.choice(rows, random)[0]))
+            return self.memory.pattern(int(self.model.selector(impulses, random)[0]))

@@ -52,20 +52,15 @@ def _dataset(path: str) -> list[str]:
 
 def _model(path: Path) -> list[str]:
     from deepfracture.learn import load_model
-    from deepfracture.learn.published import kind_of, load_field_model
 
-    if kind_of(path) == "field model":
-        model = load_field_model(path, device="cpu")
-        kind, codes = f"{model.config.preset} model", len(model.codebook)
-    else:
-        model = load_model(path)
-        kind, codes = "model", len(model.choice.rows)
+    model = load_model(path, device="cpu")
+    command, loss = model.metadata.get("command", "an unknown command"), model.metadata.get("loss", "unknown")
     lines = [
-        f"{path}: {kind} of {model.shape_name} at r = {model.body.grid.resolution}, {codes} codes, "
-        f"{path.stat().st_size / 1e6:.1f} MB",
-        f"  trained by {model.about.get('command', 'an unknown command')}, loss {model.about.get('loss', 'unknown')}",
+        f"{path}: {model.description} of {model.shape_name} at r = {model.domain.grid.resolution}, "
+        f"{len(model.codebook)} codes, {path.stat().st_size / 1e6:.1f} MB",
+        f"  trained by {command}, loss {loss}",
     ]
-    for true, exact, decoded in model.about.get("counts", ()):
+    for true, exact, decoded in model.metadata.get("counts", ()):
         lines.append(f"  fragments of a training pattern: {true}, its exact field {exact}, decoded {decoded}")
     return lines
 

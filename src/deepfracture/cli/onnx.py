@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deepfracture.learn import embedded_model, load_model
+from deepfracture.learn import embedded_model, load_partition_model, model_kind
+from deepfracture.learn.loading import PUBLISHED, shipped_models
 from deepfracture.learn.partition.onnx import export_onnx as export
-from deepfracture.learn.published import kind_of
 from deepfracture.runtime.progress import log, stage
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput
@@ -15,14 +15,14 @@ from deepfracture.types import BadInput
 def export_onnx(name: str, *, out: Path) -> None:
     """Write the model `name`, a file or a built-in shape with shipped weights, to `out`."""
     path = _file(name)
-    if kind_of(path) == "field model":
+    if model_kind(path) == PUBLISHED:
         raise BadInput(f"{path}: a network that predicts the field itself; only the preset waves is exported to ONNX")
-    model = load_model(path)
+    model = load_partition_model(path)
     with stage(f"write {out.name}"):
         size = export(model, out)
     log.info(
         "%s: %s at r = %d, %d codes, up to %d fragments, %.1f MB; how to use it: docs/reference/onnx.md",
-        out, model.shape_name, model.body.grid.resolution, len(model.choice.rows), model.channels, size / 1e6,
+        out, model.shape_name, model.domain.grid.resolution, len(model.codebook), model.channels, size / 1e6,
     )  # fmt: skip
 
 
@@ -32,9 +32,7 @@ def _file(name: str) -> Path:
         return path
     shipped = embedded_model(name)
     if shipped is None:
-        from deepfracture.learn.partition.model import SHIPPED
-
-        known = sorted(file.stem for file in SHIPPED.glob("*.safetensors"))
+        known = shipped_models()
         raise BadInput(
             f"{name!r}: neither a file nor a shape whose model ships, which are {', '.join(known)}"
             f"{did_you_mean(name, known)}"

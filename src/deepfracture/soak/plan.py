@@ -136,7 +136,9 @@ def _source(name: str) -> str:
 
 def model_of(source: str, settings: Settings) -> Path | None:
     """Trained weights for a shape."""
-    if settings.model is not None and load_model(settings.model).fits(load_shape(source, repair=settings.repair)):
+    if settings.model is not None and load_model(settings.model).matches_shape(
+        load_shape(source, repair=settings.repair)
+    ):
         return settings.model
     return embedded_model(source) if source in BUILTIN else None
 

@@ -7,11 +7,11 @@ import pytest
 
 from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.geometry import builtin, signed_distance
-from deepfracture.learn import Config, Model, Normaliser, Way, predictions
+from deepfracture.learn import Inference, Normaliser, PartitionConfig, PartitionModel
 from deepfracture.learn.partition import field, network
 from deepfracture.learn.partition.field import Body, volume_of
 from deepfracture.learn.partition.lattice import MOST_NODES, Lattice
-from deepfracture.learn.partition.selector import Choice, Similarity
+from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector
 from deepfracture.types import BadInput, Floats, Grid, Impact
 from deepfracture.voxels import cut_faces
 from deepfracture.voxels.components import components_of_runs, uncut_runs
@@ -30,21 +30,21 @@ def near(sites: Floats, points: Floats) -> np.ndarray:
     return (20 * (points @ sites.T - 0.5 * (sites**2).sum(axis=1))).astype(np.float32)
 
 
-def model(body: Body, seed: int = 0, code_count: int = 4) -> Model:
+def model(body: Body, seed: int = 0, code_count: int = 4) -> PartitionModel:
     rng = np.random.default_rng(seed)
-    config = Config(impulse_size=8, hidden=32, wavelength=0.3)
+    config = PartitionConfig(impulse_size=8, hidden=32, wavelength=0.3)
     weights = network.draw_weights(config, 9, rng)
     rows = rng.uniform(-1, 1, (code_count, 1, 7)).astype(np.float32)
     segment = rng.normal(size=(code_count, config.segment_size)).astype(np.float32)
     apart = (1 - np.eye(code_count)).astype(np.float32)
-    choice = Choice(rows, segment, apart, Similarity(0.0, 1.0, 0.3))
-    return Model("ball", config, Normaliser(1.0), body, weights, choice, {})
+    selector = MinimumRiskSelector(rows, segment, apart, ImpulseKernel(0.0, 1.0, 0.3))
+    return PartitionModel("ball", config, Normaliser(1.0), body, {}, weights, selector)
 
 
-def exact_scores(drawn: Model, code: np.ndarray) -> np.ndarray:
+def exact_scores(drawn: PartitionModel, code: np.ndarray) -> np.ndarray:
     """The decoder's channels at every voxel inside, shape (n, channels)."""
-    waves = network.basis(drawn.weights, drawn.body.points.astype(np.float32), np)
-    return waves @ network.compose(drawn.weights, code[None], np)[0]
+    waves = network.fourier_features(drawn.weights, drawn.domain.points.astype(np.float32), np)
+    return waves @ network.mixing_matrices(drawn.weights, code[None], np)[0]
 
 
 # The lattice
@@ -156,13 +156,13 @@ def test_crumbs_join_their_surroundings() -> None:
 
 def test_coarse_and_full_evaluation_agree() -> None:
     drawn = model(ball(64))
-    r, where = drawn.body.grid.resolution, drawn.body.voxels
+    r, where = drawn.domain.grid.resolution, drawn.domain.voxels
     for code in drawn.codebook[:2]:
         scores = np.full((r, r, r, 9), np.nan, np.float32)
         scores[where] = exact_scores(drawn, code)
         a, b = scores[:-1], scores[1:]
         first, second = (np.nan_to_num(side, nan=0.0).argmax(axis=-1)[..., None] for side in (a, b))
-        crack = ((first != second)[..., 0]) & (np.minimum(drawn.body.surface[:-1], drawn.body.surface[1:]) > 0.1)
+        crack = ((first != second)[..., 0]) & (np.minimum(drawn.domain.surface[:-1], drawn.domain.surface[1:]) > 0.1)
         ahead, behind = (
             (np.take_along_axis(side, mine, -1)[..., 0] - np.take_along_axis(side, other, -1)[..., 0])[crack]
             for side, mine, other in ((a, first, second), (b, second, first))
@@ -237,7 +237,7 @@ def test_shortcuts_change_nothing(shape: str) -> None:
     body = somewhere(shape)
     drawn = model(body, seed=len(shape))
     for code in drawn.codebook[:2]:
-        scores = drawn.waves @ network.compose(drawn.weights, code[None], np)[0]
+        scores = drawn.node_features @ network.mixing_matrices(drawn.weights, code[None], np)[0]
         found, labels = volume_of(body, scores), plain_labels(body, scores)
         assert found.cuts is not None and len(np.unique(labels)) > 2
         assert (found.cuts == cut_faces(labels[1:-1, 1:-1, 1:-1])).all()
@@ -264,10 +264,10 @@ def test_a_model_divides_alike_at_any_resolution() -> None:
     coarse, fine = model(ball(32)), model(ball(64))
     for code in coarse.codebook[:2]:
         low, high = coarse.decode(code), fine.decode(code)
-        inside = coarse.body.surface > 0.1
+        inside = coarse.domain.surface > 0.1
         # The centre of a coarse voxel is the corner that eight fine ones share.
         mean = high.values.reshape(32, 2, 32, 2, 32, 2).mean(axis=(1, 3, 5))
-        assert np.abs(mean - low.values)[inside].mean() < 0.25 * coarse.body.grid.spacing
+        assert np.abs(mean - low.values)[inside].mean() < 0.25 * coarse.domain.grid.spacing
 
 
 def test_a_models_resolution_can_be_changed() -> None:
@@ -275,10 +275,10 @@ def test_a_models_resolution_can_be_changed() -> None:
     grid = Grid(32)
     own = model(Body.of(grid, signed_distance(shape.mesh, grid)))
     finer = own.at(shape, 64)
-    assert finer.body.grid.resolution == 64
-    assert finer.fits(shape)
+    assert finer.domain.grid.resolution == 64
+    assert finer.matches_shape(shape)
     again, first = (each.decode(own.codebook[0]).values for each in (finer.at(shape, 32), own))
-    close = own.body.surface > -0.25
+    close = own.domain.surface > -0.25
     assert again[close] == pytest.approx(first[close])
     assert own.at(shape, 64) is finer  # the distances are taken once
 
@@ -293,18 +293,18 @@ def test_scores_of_another_body_are_refused() -> None:
         volume_of(ball(32), np.zeros((5, 3), np.float32))
 
 
-# The choice of a code
+# The selection of a code
 
 
 def test_rules_answer_as_they_say() -> None:
     drawn = model(ball(32))
-    hit = Impact([drawn.choice.rows[2, 0, :3]], [[0, 0, 1.0]], [0.5], [[0, 0, -1.0]], speed=1.0, radius=0.2)
-    answers = list(predictions(drawn, hit, np.random.default_rng(0), Way("nearest", random=False)))
+    hit = Impact([drawn.selector.impulses[2, 0, :3]], [[0, 0, 1.0]], [0.5], [[0, 0, -1.0]], speed=1.0, radius=0.2)
+    answers = list(drawn.predictions(hit, np.random.default_rng(0), Inference("nearest", random=False)))
     assert len(answers) == 4
     decoded = [drawn.decode(code).values.tobytes() for code in drawn.codebook]
     assert sorted(answer.values.tobytes() for answer in answers) == sorted(decoded)
     rng = np.random.default_rng(0)
-    free = list(predictions(drawn, hit, rng, Way("free")))
+    free = list(drawn.predictions(hit, rng, Inference("unquantised")))
     assert len(free) == 1 and free[0].values.tobytes() not in decoded
-    with pytest.raises(BadInput, match="rule"):
-        Way("best")
+    with pytest.raises(BadInput, match="selection"):
+        Inference("best")

@@ -7,11 +7,11 @@ import pytest
 
 from deepfracture.carve import voronoi_pattern
 from deepfracture.compare import variation_of_information
-from deepfracture.learn import Config, Model, Normaliser, normalise_impact
-from deepfracture.learn.codebook import nearest_first
+from deepfracture.learn import Normaliser, PartitionConfig, PartitionModel, normalise_impact
+from deepfracture.learn.codes import encode_impulses, nearest_codes
 from deepfracture.learn.partition import network
 from deepfracture.learn.partition.field import Body
-from deepfracture.learn.partition.selector import Choice, Similarity
+from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector
 from deepfracture.learn.partition.targets import FADE, anchors, target_of
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact
 
@@ -80,10 +80,10 @@ def test_senseless_normalisers_are_refused() -> None:
 
 
 def test_impulse_codes_are_those_of_a_sine_layer() -> None:
-    config = Config(impulse_size=16, features=2)
+    config = PartitionConfig(impulse_size=16, features=2)
     weights = network.draw_weights(config, 4, np.random.default_rng(0))
     rows = np.random.default_rng(1).uniform(-1, 1, (3, 2, 7)).astype(np.float32)
-    codes = network.encode_impulses(weights, rows, np)
+    codes = encode_impulses(weights, rows)
     assert codes.shape == (3, 32)
     wanted = np.sin(30 * (rows[2, 1] @ weights["siren.weight"] + weights["siren.bias"]))
     assert codes[2, 16:] == pytest.approx(wanted, abs=1e-5)
@@ -91,13 +91,13 @@ def test_impulse_codes_are_those_of_a_sine_layer() -> None:
 
 def test_numpy_and_torch_decode_alike() -> None:
     torch = pytest.importorskip("torch")
-    config = Config(hidden=16, basis=24)
+    config = PartitionConfig(hidden=16, basis=24)
     weights = network.draw_weights(config, 5, np.random.default_rng(0))
     tensors = {name: torch.from_numpy(value) for name, value in weights.items()}
     codes = np.random.default_rng(1).normal(size=(3, config.code_size)).astype(np.float32)
     points = np.random.default_rng(2).uniform(-1, 1, (9, 3)).astype(np.float32)
-    ours = network.basis(weights, points, np) @ network.compose(weights, codes, np)
-    theirs = network.basis(tensors, torch.from_numpy(points), torch) @ network.compose(
+    ours = network.fourier_features(weights, points, np) @ network.mixing_matrices(weights, codes, np)
+    theirs = network.fourier_features(tensors, torch.from_numpy(points), torch) @ network.mixing_matrices(
         tensors, torch.from_numpy(codes), torch
     )
     assert ours.shape == (3, 9, 5)
@@ -105,7 +105,7 @@ def test_numpy_and_torch_decode_alike() -> None:
 
 
 def test_drawn_weights_have_the_listed_shapes() -> None:
-    config = Config()
+    config = PartitionConfig()
     weights = network.draw_weights(config, 6, np.random.default_rng(0))
     assert {name: value.shape for name, value in weights.items()} == network.shapes(config, 6)
 
@@ -113,13 +113,13 @@ def test_drawn_weights_have_the_listed_shapes() -> None:
 @pytest.mark.parametrize("bad", [{"features": 3}, {"basis": 0}, {"learning_rate": -1.0}])
 def test_senseless_configs_are_refused(bad: dict) -> None:
     with pytest.raises(BadInput):
-        Config(**bad)
+        PartitionConfig(**bad)
 
 
 def test_the_nearest_code_is_chosen() -> None:
     codes = np.random.default_rng(0).normal(size=(20, 12)).astype(np.float32)
     for index in (0, 7, 19):
-        assert nearest_first(codes, codes[index] + 0.05)[0] == index
+        assert nearest_codes(codes, codes[index] + 0.05)[0] == index
 
 
 # Targets
@@ -187,9 +187,10 @@ def test_a_model_knows_its_shape_by_its_surface_not_by_its_name() -> None:
 
     shape, grid = builtin("bar"), Grid(32)
     body = Body.of(grid, signed_distance(shape.mesh, grid))
-    nothing = Choice(*(np.zeros(n, np.float32) for n in ((1, 1, 7), (1, 8), (1, 1))), Similarity(0.0, 1.0, 0.3))
-    model = Model("bar", Config(), Normaliser(1.0), body, {}, nothing, {})
+    none = [np.zeros(shape, np.float32) for shape in ((1, 1, 7), (1, 8), (1, 1))]
+    nothing = MinimumRiskSelector(*none, ImpulseKernel(0.0, 1.0, 0.3))
+    model = PartitionModel("bar", PartitionConfig(), Normaliser(1.0), body, {}, {}, nothing)
     thinner = Shape("bar", Mesh(shape.mesh.vertices * [1, 0.8, 1], shape.mesh.faces))
-    assert model.fits(shape)
-    assert not model.fits(thinner)
-    assert not model.fits(builtin("letter_a"))
+    assert model.matches_shape(shape)
+    assert not model.matches_shape(thinner)
+    assert not model.matches_shape(builtin("letter_a"))

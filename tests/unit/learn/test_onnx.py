@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfracture.learn import Model, embedded_model, load_model
+from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
 from deepfracture.learn.partition import network
 from deepfracture.learn.partition.field import _divide, _leaders
 from deepfracture.learn.partition.onnx import OUTPUTS, export_onnx, spline_matrix
@@ -21,21 +21,21 @@ CLOSE = 1e-3
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> PartitionModel:
     path = embedded_model("pot")
     assert path is not None
-    return load_model(path)
+    return load_partition_model(path)
 
 
 @pytest.fixture(scope="module")
-def session(model: Model, tmp_path_factory: pytest.TempPathFactory):
+def session(model: PartitionModel, tmp_path_factory: pytest.TempPathFactory):
     path = tmp_path_factory.mktemp("onnx") / "deep" / "pot.onnx"
     size = export_onnx(model, path)
     assert size == path.stat().st_size < 10e6
     return ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
 
 
-def hits(model: Model, count: int):
+def hits(model: PartitionModel, count: int):
     """Random impulses, random codes."""
     rng = np.random.default_rng(5)
     for _ in range(count):
@@ -46,16 +46,16 @@ def hits(model: Model, count: int):
         yield impact, rng.standard_normal(model.config.segment_size, np.float32)
 
 
-def answer(session, model: Model, impact: Impact, random, rank: int = 0) -> dict[str, np.ndarray]:
+def answer(session, model: PartitionModel, impact: Impact, random, rank: int = 0) -> dict[str, np.ndarray]:
     rows = np.zeros((model.config.features, 7), np.float32)
     rows[0] = [*impact.position[0], *impact.direction[0], impact.magnitude[0]]
     found = session.run(list(OUTPUTS), {"impulses": rows, "random": random, "rank": np.array(rank)})
     return dict(zip(OUTPUTS, found, strict=True))
 
 
-def labels_of(model: Model, coefficients: np.ndarray) -> np.ndarray:
+def labels_of(model: PartitionModel, coefficients: np.ndarray) -> np.ndarray:
     """The label of each voxel as `volume_of` finds it, before crumbs are swept away."""
-    body, lattice, r = model.body, model.body.lattice, model.body.grid.resolution
+    body, lattice, r = model.domain, model.domain.lattice, model.domain.grid.resolution
     labels = np.zeros((r + 2,) * 3, np.int16)
     leaders = _leaders(coefficients)
     _divide(
@@ -66,16 +66,16 @@ def labels_of(model: Model, coefficients: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rank", [0, 7])
-def test_it_agrees_with_the_model(model: Model, session, rank: int) -> None:
+def test_it_agrees_with_the_model(model: PartitionModel, session, rank: int) -> None:
     seen = set()
     for impact, random in hits(model, 4):
         found = answer(session, model, impact, random, rank)
         row = model.normaliser(impact).astype(np.float32)
-        order = model.choice(row, random)
+        order = model.selector(row, random)
         assert found["order"][rank] == order[rank] and sorted(found["order"]) == sorted(order)
         code = model.codebook[order[rank]]
         np.testing.assert_allclose(found["code"], code, atol=1e-5)
-        coefficients = model.waves @ network.compose(model.weights, code[None], np)[0]
+        coefficients = model.node_features @ network.mixing_matrices(model.weights, code[None], np)[0]
         np.testing.assert_allclose(found["coefficients"], coefficients, atol=TOLERANCE)
         labels = labels_of(model, coefficients)
         different = found["labels"] != labels
@@ -86,21 +86,21 @@ def test_it_agrees_with_the_model(model: Model, session, rank: int) -> None:
     assert len(seen) > 1  # other impulses, other patterns
 
 
-def test_it_agrees_with_torch(model: Model, session) -> None:
+def test_it_agrees_with_torch(model: PartitionModel, session) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
     weights = {name: torch.from_numpy(value) for name, value in model.weights.items()}
     impact, random = next(hits(model, 1))
     found = answer(session, model, impact, random)
     code = torch.from_numpy(model.codebook[found["order"][0]])[None]
-    coefficients = torch.from_numpy(model.waves) @ network.compose(weights, code, torch)[0]
+    coefficients = torch.from_numpy(model.node_features) @ network.mixing_matrices(weights, code, torch)[0]
     np.testing.assert_allclose(found["coefficients"], coefficients.numpy(), atol=TOLERANCE)
 
 
-def test_the_scores_are_the_splines_of_the_coefficients(model: Model, session) -> None:
+def test_the_scores_are_the_splines_of_the_coefficients(model: PartitionModel, session) -> None:
     impact, random = next(hits(model, 1))
-    found, lattice = answer(session, model, impact, random), model.body.lattice
+    found, lattice = answer(session, model, impact, random), model.domain.lattice
     rng = np.random.default_rng(0)
-    inside = np.argwhere(model.body.surface > 0)
+    inside = np.argwhere(model.domain.surface > 0)
     for i, j, k in rng.choice(inside, 50):
         a, b, c = lattice.cell[[i, j, k]]
         near = found["coefficients"][lattice.number[a : a + 3, b : b + 3, c : c + 3]]
@@ -110,14 +110,14 @@ def test_the_scores_are_the_splines_of_the_coefficients(model: Model, session) -
     np.testing.assert_allclose(spline_matrix(lattice).sum(axis=1), 1, atol=1e-6)
 
 
-def test_outside_there_is_no_label_and_the_surface_is_told(model: Model, session) -> None:
+def test_outside_there_is_no_label_and_the_surface_is_told(model: PartitionModel, session) -> None:
     impact, random = next(hits(model, 1))
     found = answer(session, model, impact, random)
-    assert ((found["labels"] == 0) == (model.body.surface <= 0)).all()
-    np.testing.assert_array_equal(found["surface"], model.body.surface)
+    assert ((found["labels"] == 0) == (model.domain.surface <= 0)).all()
+    np.testing.assert_array_equal(found["surface"], model.domain.surface)
 
 
-def test_the_file_tells_what_it_is_of(model: Model, session) -> None:
+def test_the_file_tells_what_it_is_of(model: PartitionModel, session) -> None:
     facts = session.get_modelmeta().custom_metadata_map
     assert facts["shape"] == "pot" and float(facts["max_impulse"]) == model.normaliser.max_impulse
     assert int(facts["resolution"]) == 64 and int(facts["crumb_voxels"]) == 30
@@ -134,7 +134,9 @@ def test_the_command_writes_it_and_refuses_others(tmp_path: Path, capsys: pytest
     assert "no such file" in capsys.readouterr().err
 
 
-def test_without_the_library_it_is_one_line(model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_it_is_one_line(
+    model: PartitionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from deepfracture.runtime import extras
 
     monkeypatch.setattr(extras, "is_installed", lambda module: module != "onnx")
@@ -143,7 +145,7 @@ def test_without_the_library_it_is_one_line(model: Model, tmp_path: Path, monkey
     assert not list(tmp_path.iterdir())
 
 
-def test_the_lines_of_the_documentation_finish_the_job(model: Model, session) -> None:
+def test_the_lines_of_the_documentation_finish_the_job(model: PartitionModel, session) -> None:
     import re
 
     text = (Path(__file__).parents[3] / "docs" / "reference" / "onnx.md").read_text()
@@ -158,8 +160,8 @@ def test_the_lines_of_the_documentation_finish_the_job(model: Model, session) ->
     expected = model.decode(model.codebook[found["order"][0]])
     assert expected.cuts is not None and (made["cut_bits"](labels) != expected.cuts).sum() < 20
     assert np.count_nonzero(expected.cuts) > 500
-    cut = np.argwhere(((expected.cuts & 1) > 0) & (model.body.surface > 0.05))[0]
+    cut = np.argwhere(((expected.cuts & 1) > 0) & (model.domain.surface > 0.05))[0]
     here, there = tuple(cut), (cut[0] + 1, cut[1], cut[2])
     scores = found["scores"]
     t = made["crossing"](scores[here], scores[there], labels[here] - 1, labels[there] - 1)
-    assert 0 < t < 1 and expected.values[here] <= (t + 1e-4) * model.body.grid.spacing
+    assert 0 < t < 1 and expected.values[here] <= (t + 1e-4) * model.domain.grid.spacing

@@ -1,4 +1,4 @@
-"""Networks that predict the GS-SDF: their sizes, their training, their files, alone and in a team."""
+"""Networks that predict the GS-SDF: their sizes, their training, their files, in one process and in several."""
 
 from __future__ import annotations
 
@@ -12,32 +12,46 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepfracture import learn
 from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.dataset import Dataset, DatasetSettings, Sample, create_dataset, open_dataset, write_sample
 from deepfracture.geometry import signed_distance
+from deepfracture.learn import Inference, PublishedConfig, TrainOptions, load_model, model_kind
 from deepfracture.learn.checkpoint import read, write
-from deepfracture.learn.published import FieldConfig, kind_of, load_field_model, preset, train_field
+from deepfracture.learn.published.config import preset
+from deepfracture.learn.report import TrainingReport
 from deepfracture.types import BadInput, Grid, Impact, Material, Mesh, Shape
 
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)  # threads wait for each other longer than such small steps take
 
-from deepfracture.learn import distributed as team  # noqa: E402
-from deepfracture.learn.published import pix2pix, training  # noqa: E402
+from deepfracture.learn import training  # noqa: E402
+from deepfracture.learn.distributed import DistributedContext  # noqa: E402
+from deepfracture.learn.published import pix2pix  # noqa: E402
 from deepfracture.learn.published.data import squared_error  # noqa: E402
-from deepfracture.learn.published.model import FieldModel, build, weight_count  # noqa: E402
+from deepfracture.learn.published.model import PublishedModel, build, weight_count  # noqa: E402
 
 GRID = Grid(32)
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-TINY = FieldConfig(width=0.05, impulse_size=16, batch=2, precision="float32")
+TINY = PublishedConfig(width=0.05, impulse_size=16, batch=2, precision="float32")
 SLOW = replace(TINY, learning_rate=5e-4)
 """Adam magnifies the rounding of gradients near zero, in proportion to its rate."""
 SMALL = {
-    "paper": FieldConfig(width=0.2, batch=2, late_from=0.8, precision="float32"),
-    "mlp": FieldConfig("mlp", width=0.15, batch=2, points=800, learning_rate=2e-3, late_from=0.8),
-    "pix2pix": FieldConfig("pix2pix", width=0.15, learning_rate=1e-3, late_from=0.8, segment_code=False),
+    "paper": PublishedConfig(width=0.2, batch=2, late_from=0.8, precision="float32"),
+    "mlp": PublishedConfig("mlp", width=0.15, batch=2, points=800, learning_rate=2e-3, late_from=0.8),
+    "pix2pix": PublishedConfig("pix2pix", width=0.15, learning_rate=1e-3, late_from=0.8, segment_code=False),
 }
+
+
+def train(data: Dataset, out: Path, config: PublishedConfig, **options) -> TrainingReport:
+    return learn.train(data, out, TrainOptions(**options), config=config)
+
+
+def load_published(path: Path, device: str) -> PublishedModel:
+    model = load_model(path, device=device)
+    assert isinstance(model, PublishedModel)
+    return model
 
 
 def box() -> Shape:
@@ -76,7 +90,7 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 @pytest.fixture(scope="module")
 def run(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "paper"
-    train_field(dataset, folder, SMALL["paper"], epochs=150, device="cpu")
+    train(dataset, folder, SMALL["paper"], epochs=150, device="cpu")
     return folder / "model.safetensors"
 
 
@@ -108,14 +122,14 @@ def test_one_latent_gives_every_resolution() -> None:
 @pytest.mark.parametrize("name", ["paper", "mlp", "pix2pix"])
 def test_training_remembers_simple_patterns(dataset: Dataset, tmp_path: Path, name: str, device: str) -> None:
     epochs = {"paper": 150, "mlp": 200, "pix2pix": 40}[name]
-    first = train_field(dataset, tmp_path / "first", SMALL[name], epochs=1, device=device)
-    card = train_field(dataset, tmp_path / "all", SMALL[name], epochs=epochs, device=device)
+    first = train(dataset, tmp_path / "first", SMALL[name], epochs=1, device=device)
+    card = train(dataset, tmp_path / "all", SMALL[name], epochs=epochs, device=device)
     assert card.last.loss < 0.3 * first.last.loss
-    model = load_field_model(card.path, device=device)
-    assert model.fits(dataset.shape)
-    inside = model.surface > 0
+    model = load_published(card.path, device=device)
+    assert model.matches_shape(dataset.shape)
+    inside = model.domain.surface > 0
     for index, sample in enumerate(dataset):
-        exact = encode(sample.pattern, model.surface, cuts=False)
+        exact = encode(sample.pattern, model.domain.surface, cuts=False)
         decoded = model.predict(sample.impact, np.random.default_rng(0))
         assert np.array_equal(decoded.values[~inside], exact.values[~inside])
         assert (decoded.values[inside] > 0).all()
@@ -124,29 +138,31 @@ def test_training_remembers_simple_patterns(dataset: Dataset, tmp_path: Path, na
 
 
 def test_the_same_hit_recalls_the_nearest_code(dataset: Dataset, run: Path) -> None:
-    model = load_field_model(run, device="cpu")
+    model = load_published(run, device="cpu")
     for index, sample in enumerate(dataset):
         recalled = model.predict(sample.impact, np.random.default_rng(5)).values
         assert np.array_equal(recalled, model.decode(model.codebook[index]).values)
 
 
-def test_variants_of_inference(dataset: Dataset, run: Path) -> None:
-    model, hit = load_field_model(run, device="cpu"), dataset[0].impact
+def test_settings_of_inference(dataset: Dataset, run: Path) -> None:
+    model, hit = load_published(run, device="cpu"), dataset[0].impact
 
-    def seen(variant: FieldModel, seed: int) -> np.ndarray:
-        return variant.predict(hit, np.random.default_rng(seed)).values
+    def seen(inference: Inference, seed: int) -> np.ndarray:
+        return model.predict(hit, np.random.default_rng(seed), inference).values
 
-    free = model.variant(quantised=False)
+    free = Inference("unquantised")
     assert not np.array_equal(seen(free, 1), seen(free, 2))
-    assert not np.array_equal(seen(free, 1), seen(model, 1))
-    without = model.variant(quantised=False, segment_code=False)
+    assert not np.array_equal(seen(free, 1), seen(model.inference, 1))
+    without = Inference("unquantised", random=False)
     assert np.array_equal(seen(without, 1), seen(without, 2))
-    assert np.array_equal(seen(model.variant(segment_code=False), 1), model.decode(model.codebook[0]).values)
+    assert np.array_equal(seen(Inference("nearest", random=False), 1), model.decode(model.codebook[0]).values)
+    with pytest.raises(BadInput, match="no distances between its patterns"):
+        seen(Inference("minimum risk"), 1)
 
 
 def test_the_segment_codes_are_learned_unless_they_are_left_out(three: Dataset, tmp_path: Path) -> None:
-    train_field(three, tmp_path / "with", TINY, epochs=1, device="cpu")
-    train_field(three, tmp_path / "without", replace(TINY, segment_code=False), epochs=1, device="cpu")
+    train(three, tmp_path / "with", TINY, epochs=1, device="cpu")
+    train(three, tmp_path / "without", replace(TINY, segment_code=False), epochs=1, device="cpu")
     drawn = np.random.default_rng(0)
     drawn.uniform(size=8 * TINY.impulse_size)
     before = drawn.standard_normal((3, 8), np.float32)
@@ -155,8 +171,8 @@ def test_the_segment_codes_are_learned_unless_they_are_left_out(three: Dataset, 
 
 
 def test_the_embedding_space_holds_codes_of_this_epoch(three: Dataset, tmp_path: Path) -> None:
-    card = train_field(three, tmp_path, replace(TINY, space=2), epochs=2, device="cpu")
-    model = load_field_model(card.path, device="cpu")
+    card = train(three, tmp_path, replace(TINY, space=2), epochs=2, device="cpu")
+    model = load_published(card.path, device="cpu")
     learned = weights(tmp_path)["student.segment"]
     assert model.codebook.shape == (2, TINY.code_size)
     assert all((np.abs(learned - code[-8:]).max(axis=1) < 1e-6).sum() == 1 for code in model.codebook)
@@ -167,8 +183,8 @@ def test_a_resumed_run_ends_like_an_unbroken_one(
     three: Dataset, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = replace(SMALL[name], width=0.05, points=200)
-    train_field(three, tmp_path / "whole", config, epochs=4, device="cpu")
-    epoch = training._Run.train_epoch
+    train(three, tmp_path / "whole", config, epochs=4, device="cpu")
+    epoch = training.Run.train_epoch
 
     def interrupting(self, budget, interrupted):
         if self.epoch == 1:
@@ -176,11 +192,11 @@ def test_a_resumed_run_ends_like_an_unbroken_one(
         return epoch(self, budget, interrupted)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training._Run, "train_epoch", interrupting)
+        patch.setattr(training.Run, "train_epoch", interrupting)
         with pytest.raises(KeyboardInterrupt):
-            train_field(three, tmp_path / "broken", config, epochs=4, device="cpu")
+            train(three, tmp_path / "broken", config, epochs=4, device="cpu")
     assert not (tmp_path / "broken" / "model.safetensors").exists()
-    train_field(three, tmp_path / "broken", config, epochs=4, device="cpu")
+    train(three, tmp_path / "broken", config, epochs=4, device="cpu")
     whole, broken = weights(tmp_path / "whole"), weights(tmp_path / "broken")
     assert whole.keys() == broken.keys()
     for key, value in whole.items():
@@ -196,8 +212,9 @@ def test_two_processes_learn_what_one_learns(three: Dataset, tmp_path: Path) -> 
     script = (
         "import torch; torch.set_num_threads(1)\n"
         "from deepfracture.dataset import open_dataset\n"
-        "from deepfracture.learn.published import FieldConfig, train_field\n"
-        f"train_field(open_dataset({str(three.path)!r}), {str(tmp_path / 'two')!r}, {SLOW!r}, epochs=2, device='cpu')\n"
+        "from deepfracture.learn import PublishedConfig, TrainOptions, train\n"
+        f"data, options = open_dataset({str(three.path)!r}), TrainOptions(epochs=2, device='cpu')\n"
+        f"train(data, {str(tmp_path / 'two')!r}, options, config={SLOW!r})\n"
     )
     shared = {**os.environ, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": "2"}
     processes = [
@@ -208,7 +225,7 @@ def test_two_processes_learn_what_one_learns(three: Dataset, tmp_path: Path) -> 
         )
         for rank in range(2)
     ]
-    train_field(three, tmp_path / "one", SLOW, epochs=2, device="cpu")
+    train(three, tmp_path / "one", SLOW, epochs=2, device="cpu")
     for process in processes:
         error = process.communicate(timeout=120)[1]
         assert process.returncode == 0, error.decode()
@@ -224,17 +241,17 @@ def test_two_processes_learn_what_one_learns(three: Dataset, tmp_path: Path) -> 
 def test_two_impulses(tmp_path: Path, name: str, device: str) -> None:
     data = made(tmp_path / "data", 2, impulses=2)
     config = replace(SMALL[name], width=0.05, features=2, points=200)
-    card = train_field(data, tmp_path / "run", config, epochs=1, device=device)
-    model = load_field_model(card.path, device=device)
+    card = train(data, tmp_path / "run", config, epochs=1, device=device)
+    model = load_published(card.path, device=device)
     assert model.codebook.shape[1] == 2 * (7 if name == "pix2pix" else 128) + 8
     two, rng = data[0].impact, np.random.default_rng
     one = Impact(*(rows[:1] for rows in (two.position, two.direction, two.magnitude, two.normal)), 3.0, 0.2)
-    free = model.variant(quantised=False)
-    assert not np.array_equal(free.predict(two, rng(0)).values, free.predict(one, rng(0)).values)
+    free = Inference("unquantised")
+    assert not np.array_equal(model.predict(two, rng(0), free).values, model.predict(one, rng(0), free).values)
 
 
 def test_minutes_end_within_a_pass(three: Dataset, tmp_path: Path) -> None:
-    card = train_field(three, tmp_path, replace(TINY, batch=1), minutes=1e-6, device="cpu")
+    card = train(three, tmp_path, replace(TINY, batch=1), minutes=1e-6, device="cpu")
     assert card.last.epoch == 1
     assert weights(tmp_path)["adam.student.network.first.weight.step"] == 1  # of three patterns
 
@@ -242,8 +259,8 @@ def test_minutes_end_within_a_pass(three: Dataset, tmp_path: Path) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 def test_bfloat16_trains_too(three: Dataset, tmp_path: Path, device: str) -> None:
     config = replace(TINY, precision="bfloat16")
-    first = train_field(three, tmp_path / "first", config, epochs=1, device=device)
-    card = train_field(three, tmp_path / "all", config, epochs=20, device=device)
+    first = train(three, tmp_path / "first", config, epochs=1, device=device)
+    card = train(three, tmp_path / "all", config, epochs=20, device=device)
     assert card.last.loss < 0.8 * first.last.loss
     assert weights(tmp_path / "all")["student.network.first.weight"].dtype == np.float32
 
@@ -257,8 +274,8 @@ def test_resolutions_are_learned_together(tmp_path: Path) -> None:
     hit = Impact(np.array([[-1.0, 0, 0]]), push, [10.0], -push, 3.0, 0.2)
     write_sample(tmp_path / "data", 0, Sample(hit, pattern, 0))
     config = replace(TINY, resolutions=(32, 64), width=0.1)
-    card = train_field(open_dataset(tmp_path / "data"), tmp_path / "run", config, epochs=60, device="cpu")
-    model = load_field_model(card.path, device="cpu")
+    card = train(open_dataset(tmp_path / "data"), tmp_path / "run", config, epochs=60, device="cpu")
+    model = load_published(card.path, device="cpu")
     fine, coarse = model.decode(model.codebook[0]), model.decode(model.codebook[0], 32)
     for field in fine, coarse:  # a crack at x = 0, between fragments that are deepest at x = 0.5
         along = field.values.max(axis=(1, 2))
@@ -283,8 +300,8 @@ def test_ridges_weigh_more_if_asked() -> None:
 
 def test_blocks_are_spread_over_their_voxels() -> None:
     field = torch.randn(2, 8, 8, 8)
-    assert torch.equal(pix2pix.spread(pix2pix.gather(field)), field)
-    assert torch.equal(pix2pix.gather(field)[:, 0], field[:, ::2, ::2, ::2])
+    assert torch.equal(pix2pix.depth_to_space(pix2pix.space_to_depth(field)), field)
+    assert torch.equal(pix2pix.space_to_depth(field)[:, 0], field[:, ::2, ::2, ::2])
 
 
 def test_noise_changes_what_pix2pix_says() -> None:
@@ -299,10 +316,10 @@ def test_noise_changes_what_pix2pix_says() -> None:
 
 
 def test_files_tell_their_kind(run: Path) -> None:
-    assert kind_of(run) == "field model"
-    assert kind_of(run.with_name("checkpoint.safetensors")) == training.KIND
+    assert model_kind(run) == "field model"
+    assert model_kind(run.with_name("checkpoint.safetensors")) == "field training checkpoint"
     with pytest.raises(BadInput, match="no such file"):
-        kind_of(run.with_name("other.safetensors"))
+        model_kind(run.with_name("other.safetensors"))
 
 
 def test_loading_refuses_damage(run: Path, tmp_path: Path) -> None:
@@ -313,7 +330,7 @@ def test_loading_refuses_damage(run: Path, tmp_path: Path) -> None:
     def refused(arrays: dict, facts: dict, about: str) -> None:
         write(bad, "field model", arrays, facts)
         with pytest.raises(BadInput, match=about) as error:
-            load_field_model(bad, device="cpu")
+            load_published(bad, device="cpu")
         assert "\n" not in str(error.value)
 
     refused({**arrays, "network.first.bias": arrays["network.first.bias"][1:]}, facts, "network.first.bias")
@@ -326,21 +343,21 @@ def test_loading_refuses_damage(run: Path, tmp_path: Path) -> None:
     refused(arrays, {**facts, "resolution": 64}, "damaged")
     bad.write_bytes(run.read_bytes()[:-100])
     with pytest.raises(BadInput, match="damaged"):
-        load_field_model(bad, device="cpu")
+        load_published(bad, device="cpu")
 
 
 def test_another_run_is_not_resumed(dataset: Dataset, run: Path) -> None:
     with pytest.raises(BadInput, match="other config"):
-        train_field(dataset, run.parent, TINY, epochs=2, device="cpu")
+        train(dataset, run.parent, TINY, epochs=2, device="cpu")
     with pytest.raises(BadInput, match="other seed"):
-        train_field(dataset, run.parent, SMALL["paper"], epochs=2, device="cpu", seed=1)
+        train(dataset, run.parent, SMALL["paper"], epochs=2, device="cpu", seed=1)
 
 
 def test_another_shape_does_not_fit(run: Path) -> None:
     from trimesh.creation import icosphere
 
     ball = icosphere()
-    assert not load_field_model(run, device="cpu").fits(Shape("ball", Mesh(ball.vertices, ball.faces)))
+    assert not load_published(run, device="cpu").matches_shape(Shape("ball", Mesh(ball.vertices, ball.faces)))
 
 
 def test_bad_settings_are_named(dataset: Dataset, tmp_path: Path) -> None:
@@ -349,13 +366,13 @@ def test_bad_settings_are_named(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="width"):
         preset("paper", width=-1)
     with pytest.raises(BadInput, match="resolutions"):
-        train_field(dataset, tmp_path, replace(TINY, resolutions=(32, 64)), epochs=1, device="cpu")
+        train(dataset, tmp_path, replace(TINY, resolutions=(32, 64)), epochs=1, device="cpu")
     with pytest.raises(BadInput, match="one resolution"):
         replace(SMALL["mlp"], resolutions=(32, 64)).at(64)
     with pytest.raises(BadInput, match="not usable here"):
-        train_field(dataset, tmp_path, TINY, epochs=1, device="warp")
+        train(dataset, tmp_path, TINY, epochs=1, device="warp")
     with pytest.raises(BadInput, match="epochs or minutes"):
-        train_field(dataset, tmp_path, TINY, device="cpu")
+        train(dataset, tmp_path, TINY, device="cpu")
 
 
 def test_the_command_line_trains_every_preset(dataset: Dataset, tmp_path: Path) -> None:
@@ -363,8 +380,8 @@ def test_the_command_line_trains_every_preset(dataset: Dataset, tmp_path: Path) 
 
     train(dataset.path, out=tmp_path / "run", preset="paper", width=0.05, features=2, epochs=1, minutes=None,
           device="cpu", seed=3)  # fmt: skip
-    model = load_field_model(tmp_path / "run" / "model.safetensors", device="cpu")
-    assert (model.config.width, model.config.features, model.about["seed"]) == (0.05, 2, 3)
+    model = load_published(tmp_path / "run" / "model.safetensors", device="cpu")
+    assert (model.config.width, model.config.features, model.metadata["seed"]) == (0.05, 2, 3)
     with pytest.raises(BadInput, match="preset must be one of waves, paper, mlp, pix2pix"):
         train(dataset.path, out=tmp_path, preset="gan", width=1.0, features=1, epochs=1, minutes=None,
               device="cpu", seed=0)  # fmt: skip
@@ -373,11 +390,11 @@ def test_the_command_line_trains_every_preset(dataset: Dataset, tmp_path: Path) 
               device="cpu", seed=0)  # fmt: skip
 
 
-def test_a_team_shares_every_pattern_once() -> None:
+def test_processes_share_every_sample_once() -> None:
     chosen = torch.arange(5)
     total = torch.zeros(5)
     for rank in range(3):
-        mine, share = team.Team(rank, 3).part(chosen)
+        mine, share = DistributedContext(torch.device("cpu"), rank, 3).shard(chosen)
         total.index_add_(0, mine, share / 3)  # the mean over processes
     assert torch.allclose(total, torch.full((5,), 0.2))
 
@@ -392,5 +409,5 @@ def test_the_card_tells_the_run(run: Path) -> None:
 
 
 def test_importing_needs_no_torch() -> None:
-    code = "import sys, deepfracture.learn.published as f; f.preset('paper'); sys.exit('torch' in sys.modules)"
+    code = "import sys, deepfracture.learn.published.config as f; f.preset('paper'); sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepfracture import learn
 from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.compare import variation_of_information
 from deepfracture.dataset import (
@@ -28,23 +29,30 @@ from deepfracture.dataset import (
 from deepfracture.dataset.entries import read_sample
 from deepfracture.geometry import signed_distance
 from deepfracture.learn import (
-    AS_PUBLISHED,
-    Config,
+    Inference,
+    PartitionConfig,
+    TrainOptions,
     embedded_model,
     load_model,
-    predict,
-    train,
+    load_partition_model,
 )
 from deepfracture.learn.checkpoint import pack_distance, read, unpack_distance, write
 from deepfracture.learn.partition import network
+from deepfracture.learn.report import TrainingReport
 from deepfracture.types import BadInput, Grid, Impact, Material, Mesh, Shape
 
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)  # threads wait for each other longer than such small steps take
 
 GRID = Grid(32)
-SMALL = Config(impulse_size=32, hidden=32, basis=160, wavelength=0.25, batch=4, points=1500, learning_rate=1e-2)
+SMALL = PartitionConfig(
+    impulse_size=32, hidden=32, basis=160, wavelength=0.25, batch=4, points=1500, learning_rate=1e-2
+)
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
+
+
+def train(data: Dataset, out: Path, config: PartitionConfig, **options) -> TrainingReport:
+    return learn.train(data, out, TrainOptions(**options), config=config)
 
 
 def box() -> Shape:
@@ -85,7 +93,7 @@ def run(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_training_patterns_are_remembered(dataset: Dataset, run: Path) -> None:
     model = load_model(run / "model.safetensors")
     for index, sample in enumerate(dataset):
-        exact = segment(encode(sample.pattern, model.body.surface))
+        exact = segment(encode(sample.pattern, model.domain.surface))
         found = segment(model.decode(model.codebook[index]))
         assert found.count == exact.count > 2
         assert variation_of_information(found.labels, exact.labels, exact.labels > 0) < 0.5
@@ -94,14 +102,14 @@ def test_training_patterns_are_remembered(dataset: Dataset, run: Path) -> None:
 def test_the_hit_of_a_training_pattern_recalls_it(dataset: Dataset, run: Path) -> None:
     model = load_model(run / "model.safetensors")
     index = 2
-    volume = predict(model, dataset[index].impact, np.random.default_rng(0), AS_PUBLISHED)
+    volume = model.predict(dataset[index].impact, np.random.default_rng(0), Inference("nearest"))
     nearest = [int((volume.values == model.decode(code).values).all()) for code in model.codebook]
     assert nearest == [0, 0, 1, 0]
 
 
 def test_one_seed_one_prediction(dataset: Dataset, run: Path) -> None:
     model = load_model(run / "model.safetensors")
-    once, again = (predict(model, dataset[0].impact, np.random.default_rng(5)).values for _ in range(2))
+    once, again = (model.predict(dataset[0].impact, np.random.default_rng(5)).values for _ in range(2))
     assert (once == again).all()
 
 
@@ -117,8 +125,9 @@ def test_a_run_leaves_curve_and_card(run: Path) -> None:
 
 
 def test_the_sine_layer_and_the_waves_stay_as_drawn(run: Path) -> None:
-    drawn = network.draw_weights(SMALL, load_model(run / "model.safetensors").channels, np.random.default_rng(0))
-    weights = load_model(run / "model.safetensors").weights
+    model = load_partition_model(run / "model.safetensors")
+    drawn = network.draw_weights(SMALL, model.channels, np.random.default_rng(0))
+    weights = model.weights
     for name in network.FROZEN:
         assert (weights[name] == drawn[name]).all()
     assert (weights["head.bias"] != drawn["head.bias"]).any()
@@ -130,20 +139,20 @@ def test_a_resumed_run_ends_like_an_unbroken_one(
     from deepfracture.learn import training
 
     train(dataset, tmp_path / "whole", SMALL, epochs=12, device="cpu", seed=1)
-    epoch = training._Run.train_epoch
+    epoch = training.Run.train_epoch
 
-    def interrupted(self: training._Run, budget: training.Budget) -> None:
-        epoch(self, budget)
-        if self.epoch == 5:
+    def interrupting(self: training.Run, budget: training.Budget, interrupted: threading.Event) -> bool:
+        if self.epoch == 4:
             signal.raise_signal(signal.SIGINT)
+        return epoch(self, budget, interrupted)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training._Run, "train_epoch", interrupted)
+        patch.setattr(training.Run, "train_epoch", interrupting)
         with pytest.raises(KeyboardInterrupt):
             train(dataset, tmp_path / "halves", SMALL, epochs=12, device="cpu", seed=1)
     assert not (tmp_path / "halves" / "model.safetensors").exists()
     train(dataset, tmp_path / "halves", SMALL, epochs=12, device="cpu", seed=1)
-    whole, halves = (load_model(tmp_path / name / "model.safetensors") for name in ("whole", "halves"))
+    whole, halves = (load_partition_model(tmp_path / name / "model.safetensors") for name in ("whole", "halves"))
     for name, value in whole.weights.items():
         assert (halves.weights[name] == value).all(), name
     assert (whole.codebook == halves.codebook).all()
@@ -191,7 +200,7 @@ def test_two_impulses_can_be_encoded(dataset: Dataset, tmp_path: Path) -> None:
     card = train(dataset, tmp_path / "run", replace(SMALL, features=2), epochs=1, device="cpu")
     model = load_model(card.path)
     assert model.codebook.shape == (4, 2 * 32 + 8)
-    predict(model, dataset[0].impact, np.random.default_rng(0))
+    model.predict(dataset[0].impact, np.random.default_rng(0))
 
 
 # Files

@@ -9,7 +9,7 @@ import pytest
 
 from deepfracture.carve import cut
 from deepfracture.geometry import builtin, signed_distance
-from deepfracture.learn import embedded_model, load_model, predict
+from deepfracture.learn import embedded_model, load_model
 from deepfracture.runtime import parallel as threads
 from deepfracture.runtime.parallel import (
     parallel_for,
@@ -143,9 +143,9 @@ def test_a_cut_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -
 def test_a_prediction_does_not_depend_on_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     model = load_model(embedded_model("pot"))
     impact = Impact([[1, 0, 0.3]], [[-1, 0, 0]], [3000.0], [[1, 0, 0]], 10.0, 0.2)
-    shared = predict(model, impact, np.random.default_rng(0))
+    shared = model.predict(impact, np.random.default_rng(0))
     monkeypatch.setattr(threads, "thread_count", lambda: 1)
-    alone = predict(model, impact, np.random.default_rng(0))
+    alone = model.predict(impact, np.random.default_rng(0))
     assert shared.cuts.any()
     assert shared.values.tobytes() == alone.values.tobytes() and shared.cuts.tobytes() == alone.cuts.tobytes()
 

@@ -148,12 +148,12 @@ def test_a_blow_on_a_piece_is_one_on_the_whole_at_the_same_place() -> None:
 def test_a_model_of_the_whole_breaks_a_piece_within_bounds() -> None:
     asked: list[Impact] = []
 
-    def answers(impact: Impact, rng: np.random.Generator) -> Iterator[Volume]:
+    def predictions(impact: Impact, rng: np.random.Generator) -> Iterator[Volume]:
         asked.append(impact)
         for cuts in ((-0.3,), (-0.3, 0.613)):  # the first parts the piece nowhere
             yield encode(*_slabs(*cuts))
 
-    learned = Learned(answers, weakest=1000.0)
+    learned = Learned(predictions, weakest_impulse=1000.0)
     rng = np.random.default_rng(0)
     broken = learned(PIECE, impact_to_fragment(_blow(40.0), PIECE), rng)
     assert broken is not None

@@ -52,7 +52,6 @@ class Body(VoxelDomain):
         return self.lattice.nodes
 
 
-
 def volume_of(body: Body, scores: Floats32) -> Volume:
     """The GS-SDF of channel scores.
 

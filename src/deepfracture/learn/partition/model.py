@@ -25,7 +25,8 @@ from deepfracture.types import BadInput, Floats32, Grid, Ints, Shape, Volume
 FORMAT = 2
 KIND = "model"
 BAND = 0.3
-"""Distance [m] outside up to which the surface's distance is exact: segmentation and `matches_shape` look no farther."""
+"""Distance [m] outside up to which the distance to the surface is exact: segmentation and `matches_shape` need no
+more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +153,8 @@ def load_partition_model(path: Path | str) -> PartitionModel:
     patterns = {"rows": (n, config.features, 7), "segment": (n, config.segment_size), "apart": (n, n)}
     check(path, arrays, {**sizes, **patterns})
     weights = {key: arrays[key].astype(np.float32) for key in sizes}
-    selector = MinimumRiskSelector(*(arrays[key].astype(np.float32) for key in patterns), kernel)
+    impulses, segment, pairwise = (arrays[key].astype(np.float32) for key in patterns)
+    selector = MinimumRiskSelector(impulses, segment, pairwise, kernel)
     return PartitionModel(name, config, normaliser, SplineDomain.of(grid, surface), about, weights, selector)
 
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.learn.partition.field import SMALL_COMPONENT
-from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.learn.codes import OMEGA
 from deepfracture.learn.inference import BANDWIDTH
+from deepfracture.learn.partition.field import SMALL_COMPONENT
+from deepfracture.learn.partition.lattice import Lattice
 from deepfracture.learn.partition.selector import LEAST_WEIGHT
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import atomic_file

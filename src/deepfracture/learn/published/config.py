@@ -54,7 +54,8 @@ class PublishedConfig:
     def __post_init__(self) -> None:
         if self.preset not in PUBLISHED:
             raise BadInput(
-                f"preset must be one of {', '.join(PUBLISHED)}, got {self.preset!r}{did_you_mean(self.preset, PUBLISHED)}"
+                f"preset must be one of {', '.join(PUBLISHED)}, got {self.preset!r}"
+                f"{did_you_mean(self.preset, PUBLISHED)}"
             )
         for name in ("width", "impulse_size", "segment_size", "space", "batch", "points", "learning_rate", "late_rate"):
             if not getattr(self, name) > 0:

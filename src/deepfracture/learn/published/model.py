@@ -97,9 +97,7 @@ class PublishedModel(Model):
         if isinstance(self.network, CoordinateMLP):
             points = torch.from_numpy(self.domain.points.astype(np.float32)).to(device)
             values = self.domain.surface.copy()
-            values[self.domain.voxels] = torch.cat(
-                [self.network(codes, part)[0] for part in points.split(CHUNK)]
-            ).cpu()
+            values[self.domain.voxels] = torch.cat([self.network(codes, part)[0] for part in points.split(CHUNK)]).cpu()
             return values
         fields = self.network(codes)
         field = fields if isinstance(fields, Tensor) else fields[level]

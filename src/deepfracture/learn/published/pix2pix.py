@@ -3,7 +3,7 @@
 The condition holds the shape's distance field and, for each impulse, a Gaussian around the contact point scaled by the
 magnitude, and the direction in that Gaussian. An encoder-decoder with skips reads it at half the resolution; the last
 upsampling gives blocks of 2^3 voxels as channels (pixel shuffle, Shi et al. 2016). The noise joins as
-channels at the bottom. The discriminator classifies overlapping patches of field and condition (PatchGAN), not the whole.
+channels at the bottom. The discriminator classifies overlapping patches of field and condition (PatchGAN).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which training pattern answers an impact."""
+"""Which training pattern suits an impact."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from deepfracture.carve import voronoi_pattern
 from deepfracture.compare import describe
-from deepfracture.learn.partition.selector import Choice, Similarity, fit, mean_distance
+from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector, fit_kernel, pairwise_distances
 from deepfracture.types import Floats32, Grid, Impact
 
 
@@ -29,28 +29,30 @@ def test_the_typical_beats_the_nearest() -> None:
     rng = np.random.default_rng(0)
     rows, apart = outcomes(rng, 300)
     known, asked = np.arange(200), np.arange(200, 300)
-    choice = Choice(rows[known], np.zeros((200, 8), np.float32), apart[:200, :200], fit(rows[known], apart[:200, :200]))
-    typical = [choice(rows[k], np.zeros(8, np.float32))[0] for k in asked]
+    select = MinimumRiskSelector(
+        rows[known], np.zeros((200, 8), np.float32), apart[:200, :200], fit_kernel(rows[known], apart[:200, :200])
+    )
+    typical = [select(rows[k], np.zeros(8, np.float32))[0] for k in asked]
     nearest = [int(np.abs(rows[known, 0, 0] - rows[k, 0, 0]).argmin()) for k in asked]
     assert apart[asked, typical].mean() < 0.85 * apart[asked, nearest].mean()
 
 
 def test_a_narrow_similarity_recalls_the_nearest() -> None:
     rows, apart = outcomes(np.random.default_rng(1), 50)
-    choice = Choice(rows, np.zeros((50, 8), np.float32), apart, Similarity(0.0, 1.0, 1e-3))
+    select = MinimumRiskSelector(rows, np.zeros((50, 8), np.float32), apart, ImpulseKernel(0.0, 1.0, 1e-3))
     for k in (0, 17, 49):
-        assert choice(rows[k], np.zeros(8, np.float32))[0] == k
+        assert select(rows[k], np.zeros(8, np.float32))[0] == k
 
 
 def test_random_codes_choose_among_what_similar_blows_did() -> None:
     rng = np.random.default_rng(2)
     rows, apart = outcomes(rng, 200)
     segment = rng.normal(size=(200, 8)).astype(np.float32)
-    choice = Choice(rows, segment, apart, Similarity(0.0, 1.0, 0.2))
+    select = MinimumRiskSelector(rows, segment, apart, ImpulseKernel(0.0, 1.0, 0.2))
     draws = [rng.normal(size=8).astype(np.float32) for _ in range(30)]
 
-    def chosen(variety: float) -> np.ndarray:
-        return np.array([choice(rows[3], draw, variety=variety)[0] for draw in draws])
+    def chosen(bandwidth: float) -> np.ndarray:
+        return np.array([select(rows[3], draw, bandwidth=bandwidth)[0] for draw in draws])
 
     assert len(set(chosen(1e6))) == 1
     assert len(set(chosen(1.0))) > 5
@@ -59,8 +61,8 @@ def test_random_codes_choose_among_what_similar_blows_did() -> None:
 
 def test_far_from_all_witnesses_the_mean_of_all_decides() -> None:
     rows, apart = outcomes(np.random.default_rng(3), 40)
-    choice = Choice(rows, np.zeros((40, 8), np.float32), apart, Similarity(0.0, 1.0, 0.01))
-    assert choice(rows_at(np.array([9.0]))[0], np.zeros(8, np.float32))[0] == apart.mean(axis=0).argmin()
+    select = MinimumRiskSelector(rows, np.zeros((40, 8), np.float32), apart, ImpulseKernel(0.0, 1.0, 0.01))
+    assert select(rows_at(np.array([9.0]))[0], np.zeros(8, np.float32))[0] == apart.mean(axis=0).argmin()
 
 
 def test_the_fit_finds_what_matters() -> None:
@@ -70,7 +72,7 @@ def test_the_fit_finds_what_matters() -> None:
     rows[:, 0, :3] = rng.uniform(-1, 1, (150, 3))
     rows[:, 0, 6] = rng.uniform(-1, 1, 150)
     value = rows[:, 0, 6] + 0.05 * rng.normal(size=150)
-    found = fit(rows, np.abs(value[:, None] - value).astype(np.float32))
+    found = fit_kernel(rows, np.abs(value[:, None] - value).astype(np.float32))
     assert found.impulse == 4.0
 
 
@@ -80,7 +82,7 @@ def test_distances_are_in_units_of_their_mean() -> None:
     rng = np.random.default_rng(5)
     hit = Impact([[0.9, 0, 0]], [[-1.0, 0, 0]], [100.0], [[1.0, 0, 0]], speed=3.0, radius=0.2)
     patterns = [voronoi_pattern(rng.uniform(-0.6, 0.6, (n, 3)), ball > 0, grid) for n in (3, 5, 9, 9)]
-    apart = mean_distance([describe(pattern, hit) for pattern in [*patterns, patterns[0]]])
+    apart = pairwise_distances([describe(pattern, hit) for pattern in [*patterns, patterns[0]]])
     assert apart.shape == (5, 5)
     assert apart[0, 4] == 0 and (np.diag(apart) == 0).all()
     assert (apart == apart.T).all()
