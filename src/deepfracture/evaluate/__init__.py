@@ -1,4 +1,4 @@
-"""How good any way of breaking is on held-out collisions, in units of chaos itself."""
+"""Accuracy of breakers on held-out collisions, normalised by simulation-to-simulation variability."""
 
 from deepfracture.evaluate.evaluation import Evaluation, evaluate, load_evaluation
 from deepfracture.evaluate.overlap import refuse_overlap

@@ -1,4 +1,4 @@
-"""What is measured on one held-out collision: repeated simulations among themselves, and every source against them."""
+"""One held-out collision: repeated simulations against one another, and every source against them."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ Distances = dict[str, float]
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What one source made of one collision, draw by draw."""
+class SourceResult:
+    """The predictions of one source for one collision, draw by draw."""
 
     volumes: tuple[tuple[float, ...], ...]
     """Of the fragments [m^3]; a shape that held is one fragment."""
@@ -32,7 +32,7 @@ class Answer:
     """Mean over the pairs of draws; empty for a single draw."""
     seconds: tuple[float, ...]
     stages: tuple[dict[str, float], ...]
-    """Seconds of the stages that the source tells apart."""
+    """Seconds of each stage that the source reports."""
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -40,7 +40,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Collision:
+class HeldOutCollision:
     """One held-out collision."""
 
     number: int
@@ -53,8 +53,8 @@ class Collision:
     volumes: tuple[tuple[float, ...], ...]
     """Of the fragments [m^3], repeat by repeat."""
     floor: Distances
-    """Mean over the pairs of repeats: how far chaos alone takes two simulations apart."""
-    answers: dict[str, Answer]
+    """Mean over the pairs of repeats: the simulation-to-simulation variability."""
+    answers: dict[str, SourceResult]
     """By the names of the sources."""
 
     @property
@@ -64,12 +64,12 @@ class Collision:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """A collision, and what is needed to compare it with others: how its repeats and all draws divide the body.
+class Measurement:
+    """A collision, and the partitions of the body by its repeats and by all draws, to compare it with others.
 
     Fragment 1..n of each voxel that the first of all patterns fills, shape (voxels,)."""
 
-    collision: Collision
+    collision: HeldOutCollision
     repeats: tuple[NDArray[np.uint16], ...]
     draws: dict[str, tuple[NDArray[np.uint16], ...]]
 
@@ -83,8 +83,8 @@ def measure(
     inside: Ints,
     draws: int,
     seed: int,
-) -> Measured:
-    """Ask every source `draws` times how the shape breaks under the impact of `samples`.
+) -> Measurement:
+    """Let every source predict `draws` times how the shape breaks under the impact of `samples`.
 
     Args:
         number: Of the collision: with `seed` and the number of the draw it decides the generator that a source
@@ -97,22 +97,22 @@ def measure(
     answers, divisions = {}, {}
     for name, source in sources.items():
         rngs = [np.random.default_rng([seed, number, draw]) for draw in range(draws)]
-        asked = [_ask(name, source, shape, impact, samples[0].pattern, rng) for rng in rngs]
-        found = [describe(pattern, impact) for pattern, _, _ in asked]
-        answers[name] = Answer(
+        predicted = [_predict(name, source, shape, impact, samples[0].pattern, rng) for rng in rngs]
+        found = [describe(pattern, impact) for pattern, _, _ in predicted]
+        answers[name] = SourceResult(
             _volumes(found),
             tuple(mean([distances(one, repeat) for repeat in repeats]) for one in found),
             mean([distances(a, b) for a, b in combinations(found, 2)]),
-            tuple(seconds for _, seconds, _ in asked),
-            tuple(stages for _, _, stages in asked),
+            tuple(seconds for _, seconds, _ in predicted),
+            tuple(stages for _, _, stages in predicted),
         )
         divisions[name] = tuple(one.partition.ravel()[inside] for one in found)
     floor = mean([distances(a, b) for a, b in combinations(repeats, 2)])
     position, direction = (tuple(value[0].tolist()) for value in (impact.position, impact.direction))
-    collision = Collision(
+    collision = HeldOutCollision(
         number, float(impact.magnitude[0]), position, direction, _volumes(repeats), floor, answers
     )  # fmt: skip
-    return Measured(collision, tuple(one.partition.ravel()[inside] for one in repeats), divisions)
+    return Measurement(collision, tuple(one.partition.ravel()[inside] for one in repeats), divisions)
 
 
 def mean(rows: Sequence[Distances]) -> Distances:
@@ -124,7 +124,7 @@ def _volumes(traits: Sequence[Descriptors]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(one.volumes.tolist()) for one in traits)
 
 
-def _ask(
+def _predict(
     name: str, source: PatternSource, shape: Shape, impact: Impact, like: FracturePattern, rng: np.random.Generator
 ) -> tuple[FracturePattern, float, dict[str, float]]:
     """The pattern, the seconds that it took, and those of its stages."""

@@ -1,4 +1,4 @@
-"""All held-out collisions, measured; kept as one file that says everything."""
+"""All held-out collisions, measured, and stored in one file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from deepfracture.breakers import PatternSource
 from deepfracture.compare import describe
 from deepfracture.dataset import Dataset
-from deepfracture.evaluate.collision import Answer, Collision, Measured, measure
+from deepfracture.evaluate.collision import HeldOutCollision, Measurement, SourceResult, measure
 from deepfracture.evaluate.sensitivity import sensitivities
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track
@@ -24,19 +24,19 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What sources made of the held-out collisions of one shape."""
+    """The predictions of several sources for the held-out collisions of one shape."""
 
     shape: str
     material: str
     resolution: int
     draws: int
-    """Random codes that each source was asked with for each collision."""
+    """Random codes per source and collision."""
     seed: int
     left_out: int
     """Collisions of which fewer than two repeats broke the shape: they have no floor."""
     sensitivity: dict[str, float]
     """See `sensitivity.sensitivities`."""
-    collisions: tuple[Collision, ...]
+    collisions: tuple[HeldOutCollision, ...]
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ def evaluate(held: Dataset, sources: Mapping[str, PatternSource], *, draws: int,
     first = held[with_floor[0][0]]
     inside = np.flatnonzero(describe(first.pattern, first.impact).partition)
     _warm(held.shape, first.impact, sources, seed)
-    measured: list[Measured] = []
+    measured: list[Measurement] = []
     for group in track(with_floor, name="held-out collisions"):
         samples = [held[index] for index in group]
         number = int(held.names[group[0]]) // held.settings.repeats
@@ -101,14 +101,14 @@ def load_evaluation(path: Path | str) -> Evaluation:
         raise BadInput(f"{path}: not an evaluation ({str(error).splitlines()[0]}); make one with evaluate") from error
 
 
-def _collision(row: dict[str, Any]) -> Collision:
-    answers = {name: _answer(answer) for name, answer in row["answers"].items()}
+def _collision(row: dict[str, Any]) -> HeldOutCollision:
+    answers = {name: _source_result(answer) for name, answer in row["answers"].items()}
     lists = {name: _tuples(row[name]) for name in ("position", "direction", "volumes")}
-    return Collision(**{**row, **lists, "answers": answers})
+    return HeldOutCollision(**{**row, **lists, "answers": answers})
 
 
-def _answer(row: dict[str, Any]) -> Answer:
-    return Answer(**{name: _tuples(value) for name, value in row.items()})
+def _source_result(row: dict[str, Any]) -> SourceResult:
+    return SourceResult(**{name: _tuples(value) for name, value in row.items()})
 
 
 def _tuples(value: Any) -> Any:
@@ -116,6 +116,6 @@ def _tuples(value: Any) -> Any:
 
 
 def _warm(shape: Shape, impact: Impact, sources: Mapping[str, PatternSource], seed: int) -> None:
-    """Call every source once, so that no time includes what is done but once (kernels, files, the shape)."""
+    """Call every source once, so that no time includes one-off work (compilation, files, the shape)."""
     for source in sources.values():
         source(shape, impact, np.random.default_rng(seed))

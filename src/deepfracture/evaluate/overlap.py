@@ -1,4 +1,4 @@
-"""Held-out means held out."""
+"""Held-out collisions must not be in the training data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from deepfracture.dataset import Dataset
 from deepfracture.types import BadInput, Impact
 
 SCENE = ("seed", "speed_range", "scene")
-"""Settings that together decide which balls are thrown."""
+"""Settings that together determine which balls are thrown."""
 
 
 def refuse_overlap(held: Dataset, train: Dataset) -> None:

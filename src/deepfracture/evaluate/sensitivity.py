@@ -1,4 +1,4 @@
-"""Do predictions differ where simulations do?"""
+"""Whether predictions differ where simulations do."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepfracture.compare.partition import contingency_table, normalized_mutual_information
-from deepfracture.evaluate.collision import Measured
+from deepfracture.evaluate.collision import Measurement
 from deepfracture.types import Floats
 
 SIMULATION = "simulation"
-"""Stands for the other repeats: what a source of the simulator's own chaos would reach."""
+"""Stands for the other repeats: the score of a source with the variability of the simulator itself."""
 
 
-def sensitivities(measured: Sequence[Measured]) -> dict[str, float]:
+def sensitivities(measured: Sequence[Measurement]) -> dict[str, float]:
     """Rank correlation, over all pairs of collisions, between how far apart the predictions are and how far apart the
     simulations are: Mantel's statistic (1967), mean over every draw beside every repeat.
 

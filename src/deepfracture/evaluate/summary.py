@@ -1,4 +1,4 @@
-"""From the measurements to a few figures for each source, with the confidence that the collisions allow."""
+"""From the measurements to a few figures per source, with bootstrap intervals over the collisions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Interval:
 
     @staticmethod
     def of(values: Sequence[float] | Floats) -> Interval:
-        """The first value is that of the whole, the others those of bootstrap samples; NaN tells nothing."""
+        """The first value is that of the whole, the others those of bootstrap samples; NaN is left out."""
         known = np.asarray(values[1:], float)
         known = known[np.isfinite(known)]
         if not len(known):
@@ -44,7 +44,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Summary:
-    """How good one source is."""
+    """The scores of one source."""
 
     score: Interval
     """Mean of `measures`; 1: as near to a simulation as another simulation is. Lower is better."""
@@ -79,19 +79,19 @@ class Summary:
 def summarise(evaluation: Evaluation) -> dict[str, Summary]:
     """By the names of the sources. The same evaluation gives the same intervals."""
     tables = {name: _Table.of(evaluation, name) for name in evaluation.sources}
-    picks = _Picks.of(evaluation)
-    return {name: _summary(evaluation, name, tables, picks) for name in tables}
+    resamples = _Resamples.of(evaluation)
+    return {name: _summary(evaluation, name, tables, resamples) for name in tables}
 
 
 def score_samples(evaluation: Evaluation) -> dict[str, Floats]:
     """The score of every source, followed by those of all bootstrap samples, shape (1 + RESAMPLES,): what is needed
     for the interval of something made of several scores."""
-    picks = _Picks.of(evaluation)
-    return {name: _mean(_Table.of(evaluation, name).scores(picks)) for name in evaluation.sources}
+    resamples = _Resamples.of(evaluation)
+    return {name: _mean(_Table.of(evaluation, name).scores(resamples)) for name in evaluation.sources}
 
 
 def simulated(evaluation: Evaluation) -> dict[str, float]:
-    """What the simulations themselves reach where that means something."""
+    """The same figures for the simulations themselves, where they are defined."""
     counts = [count for collision in evaluation.collisions for count in collision.counts]
     impulses = [collision.impulse for collision in evaluation.collisions for _ in collision.counts]
     return {
@@ -154,39 +154,41 @@ class _Table:
             np.array([row.impulse for row in rows]),
         )
 
-    def scores(self, picks: _Picks) -> Floats:
+    def scores(self, resamples: _Resamples) -> Floats:
         """Of each measure, (b, m)."""
-        return self._over_floor(self.distance[picks.collisions[:, :, None], picks.draws].mean(axis=(1, 2)), picks)
+        return self._over_floor(
+            self.distance[resamples.collisions[:, :, None], resamples.draws].mean(axis=(1, 2)), resamples
+        )
 
-    def diversity(self, picks: _Picks) -> Floats:
+    def diversity(self, resamples: _Resamples) -> Floats:
         """Of each measure, (b, m)."""
-        return self._over_floor(self.apart[picks.collisions].mean(axis=1), picks)
+        return self._over_floor(self.apart[resamples.collisions].mean(axis=1), resamples)
 
-    def energy(self, picks: _Picks) -> Floats:
+    def energy(self, resamples: _Resamples) -> Floats:
         """Of each measure, (b, m)."""
-        return 2 * self.scores(picks) - self.diversity(picks) - 1
+        return 2 * self.scores(resamples) - self.diversity(resamples) - 1
 
-    def bias(self, picks: _Picks) -> Floats:
+    def bias(self, resamples: _Resamples) -> Floats:
         """(b,)"""
-        return self._counts(picks).mean(axis=(1, 2)) / self.truth[picks.collisions].mean(axis=1) - 1
+        return self._counts(resamples).mean(axis=(1, 2)) / self.truth[resamples.collisions].mean(axis=1) - 1
 
-    def rising(self, picks: _Picks) -> Floats:
+    def rising(self, resamples: _Resamples) -> Floats:
         """(b,)"""
-        counts = self._counts(picks)
-        impulses = np.broadcast_to(self.impulse[picks.collisions][:, :, None], counts.shape)
+        counts = self._counts(resamples)
+        impulses = np.broadcast_to(self.impulse[resamples.collisions][:, :, None], counts.shape)
         return rank_correlation(impulses.reshape(len(counts), -1), counts.reshape(len(counts), -1))
 
-    def _counts(self, picks: _Picks) -> Floats:
-        return self.count[picks.collisions[:, :, None], picks.draws]
+    def _counts(self, resamples: _Resamples) -> Floats:
+        return self.count[resamples.collisions[:, :, None], resamples.draws]
 
-    def _over_floor(self, distance: Floats, picks: _Picks) -> Floats:
-        floor = self.floor[picks.collisions].mean(axis=1)
+    def _over_floor(self, distance: Floats, resamples: _Resamples) -> Floats:
+        floor = self.floor[resamples.collisions].mean(axis=1)
         return np.divide(distance, floor, out=np.full(floor.shape, np.nan), where=floor > 0)
 
 
 @dataclass(frozen=True, eq=False)
-class _Picks:
-    """What bootstrap samples hold, the first of which is the whole; b samples."""
+class _Resamples:
+    """Indices of b bootstrap samples, the first of which is the whole."""
 
     collisions: Ints
     """(b, c)"""
@@ -194,14 +196,14 @@ class _Picks:
     """Of each of them, (b, c, d)."""
 
     @staticmethod
-    def of(evaluation: Evaluation) -> _Picks:
+    def of(evaluation: Evaluation) -> _Resamples:
         """The whole, then RESAMPLES samples with replacement: the same for every source, others for every shape."""
         c, d = len(evaluation.collisions), evaluation.draws
         rng = np.random.default_rng([evaluation.seed, zlib.crc32(evaluation.shape.encode())])
         collisions = rng.integers(c, size=(RESAMPLES + 1, c))
         draws = rng.integers(d, size=(RESAMPLES + 1, c, d))
         collisions[0], draws[0] = np.arange(c), np.arange(d)
-        return _Picks(collisions, draws)
+        return _Resamples(collisions, draws)
 
 
 def _mean(scores: Floats) -> Floats:
@@ -211,14 +213,14 @@ def _mean(scores: Floats) -> Floats:
     return np.divide(sums, number, out=np.full(sums.shape, np.nan), where=number > 0)
 
 
-def _summary(evaluation: Evaluation, name: str, tables: dict[str, _Table], picks: _Picks) -> Summary:
+def _summary(evaluation: Evaluation, name: str, tables: dict[str, _Table], resamples: _Resamples) -> Summary:
     table = tables[name]
     answers = [collision.answers[name] for collision in evaluation.collisions]
-    scores = table.scores(picks)
+    scores = table.scores(resamples)
     overall = _mean(scores)
     against = None
     if BASELINE in tables and name != BASELINE:
-        against = Interval.of(overall - _mean(tables[BASELINE].scores(picks)))
+        against = Interval.of(overall - _mean(tables[BASELINE].scores(resamples)))
     volumes = [one for answer in answers for one in answer.volumes]
     truth = [one for collision in evaluation.collisions for one in collision.volumes]
     stages = {stage for answer in answers for draw in answer.stages for stage in draw}
@@ -226,10 +228,10 @@ def _summary(evaluation: Evaluation, name: str, tables: dict[str, _Table], picks
         score=Interval.of(overall),
         measures={measure: Interval.of(scores[:, m]) for m, measure in enumerate(MEASURES)},
         against_nearest=against,
-        diversity=Interval.of(_mean(table.diversity(picks))),
-        energy=Interval.of(_mean(table.energy(picks))),
-        bias=Interval.of(table.bias(picks)),
-        rising=Interval.of(table.rising(picks)),
+        diversity=Interval.of(_mean(table.diversity(resamples))),
+        energy=Interval.of(_mean(table.energy(resamples))),
+        bias=Interval.of(table.bias(resamples)),
+        rising=Interval.of(table.rising(resamples)),
         sensitivity=evaluation.sensitivity[name],
         volumes=kolmogorov_smirnov(np.sort(np.concatenate(volumes)), np.sort(np.concatenate(truth))),
         mott=mott_distance(volumes),

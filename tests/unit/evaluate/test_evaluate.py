@@ -27,7 +27,7 @@ from deepfracture.dataset import (
     write_unbroken,
 )
 from deepfracture.evaluate import Evaluation, evaluate, load_evaluation, refuse_overlap, summarise, write_report
-from deepfracture.evaluate.collision import Measured, mean
+from deepfracture.evaluate.collision import Measurement, mean
 from deepfracture.evaluate.report import markdown
 from deepfracture.evaluate.sensitivity import sensitivities
 from deepfracture.evaluate.summary import floors, mott_distance, score_samples
@@ -202,7 +202,7 @@ def test_sensitivity_tells_who_heeds_the_place_of_the_hit(done: Evaluation) -> N
         "same": [parted(np.full(25, 50)) for _ in range(2)],
     }
     measured = [
-        Measured(
+        Measurement(
             done.collisions[0],
             tuple(repeat[k] for repeat in repeats),
             {name: tuple(draw[k] for draw in of) for name, of in draws.items()},

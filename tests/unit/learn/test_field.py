@@ -9,8 +9,8 @@ from deepfracture.carve import encode, segment, voronoi_pattern
 from deepfracture.geometry import builtin, signed_distance
 from deepfracture.learn import Inference, Normaliser, PartitionConfig, PartitionModel
 from deepfracture.learn.partition import field, network
-from deepfracture.learn.partition.field import Body, volume_of
-from deepfracture.learn.partition.lattice import MOST_NODES, Lattice
+from deepfracture.learn.partition.field import SplineDomain, decode_logits
+from deepfracture.learn.partition.lattice import MOST_NODES, SplineLattice
 from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector
 from deepfracture.types import BadInput, Floats, Grid, Impact
 from deepfracture.voxels import cut_faces
@@ -20,9 +20,9 @@ from deepfracture.voxels.small_components import relabel_small_components
 SITES = np.random.default_rng(0).uniform(-0.6, 0.6, (7, 3))
 
 
-def ball(resolution: int, radius: float = 0.9) -> Body:
+def ball(resolution: int, radius: float = 0.9) -> SplineDomain:
     grid = Grid(resolution)
-    return Body.of(grid, (radius - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
+    return SplineDomain.of(grid, (radius - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def near(sites: Floats, points: Floats) -> np.ndarray:
@@ -30,7 +30,7 @@ def near(sites: Floats, points: Floats) -> np.ndarray:
     return (20 * (points @ sites.T - 0.5 * (sites**2).sum(axis=1))).astype(np.float32)
 
 
-def model(body: Body, seed: int = 0, code_count: int = 4) -> PartitionModel:
+def model(body: SplineDomain, seed: int = 0, code_count: int = 4) -> PartitionModel:
     rng = np.random.default_rng(seed)
     config = PartitionConfig(impulse_size=8, hidden=32, wavelength=0.3)
     weights = network.draw_weights(config, 9, rng)
@@ -91,7 +91,7 @@ def test_gain_makes_splines_the_nearest_to_their_waves() -> None:
 @pytest.mark.parametrize("resolution", [32, 64, 128])
 def test_nodes_are_few_whatever_the_resolution(resolution: int) -> None:
     grid = Grid(resolution)
-    everywhere = Lattice.of(grid, np.ones(grid.shape, np.float32))
+    everywhere = SplineLattice.of(grid, np.ones(grid.shape, np.float32))
     assert len(everywhere.nodes) <= MOST_NODES
     assert len(ball(resolution).nodes) <= MOST_NODES
 
@@ -110,7 +110,7 @@ def test_two_linear_channels_make_a_plane_with_exact_distances(resolution: int) 
     body = ball(resolution)
     normal = np.array([2.0, -1.0, 2.0]) / 3
     height = body.nodes @ normal - 0.123
-    values = volume_of(body, np.stack([5 * height, -5 * height], axis=1)).values
+    values = decode_logits(body, np.stack([5 * height, -5 * height], axis=1)).values
     inside = body.surface > 0
     wanted = np.minimum(np.abs(body.grid.centres() @ normal - 0.123), body.surface)
     error = np.abs(values - wanted)[inside] / body.grid.spacing
@@ -124,7 +124,7 @@ def test_two_linear_channels_make_a_plane_with_exact_distances(resolution: int) 
 def test_scores_of_the_nearest_site_give_its_cells_field(resolution: int) -> None:
     body = ball(resolution)
     pattern = voronoi_pattern(SITES, body.surface > 0, body.grid)
-    found = volume_of(body, near(SITES, body.nodes))
+    found = decode_logits(body, near(SITES, body.nodes))
     exact = encode(pattern, body.surface)
     inside = body.surface > 0
     assert np.abs(found.values - exact.values)[inside].mean() < 0.03 * body.grid.spacing
@@ -135,20 +135,20 @@ def test_the_crack_crosses_edges_where_the_scores_say() -> None:
     body = ball(32)
     place = float(body.grid.to_world(15.3))
     x = body.nodes[:, 0] - place
-    values = volume_of(body, np.stack([-x, x], axis=1)).values[15:17, 16, 16]
+    values = decode_logits(body, np.stack([-x, x], axis=1)).values[15:17, 16, 16]
     assert values[0] / values.sum() == pytest.approx(0.3, abs=1e-4)
 
 
 def test_crumbs_join_their_surroundings() -> None:
     body = ball(64)
     scores = near(SITES, body.nodes)
-    clean = volume_of(body, scores).values
+    clean = decode_logits(body, scores).values
     deepest = body.grid.to_world(np.unravel_index(clean.argmax(), clean.shape))
     away = np.linalg.norm(body.nodes - deepest, axis=1)
 
     def blob(radius: float) -> np.ndarray:
         extra = (200 * (radius - away)).astype(np.float32)
-        return volume_of(body, np.concatenate([scores, (scores.max(axis=1) + extra)[:, None]], axis=1)).values
+        return decode_logits(body, np.concatenate([scores, (scores.max(axis=1) + extra)[:, None]], axis=1)).values
 
     assert (blob(0.03) == clean).all()
     assert not (blob(0.2) == clean).all()
@@ -174,7 +174,7 @@ def test_coarse_and_full_evaluation_agree() -> None:
         assert np.median(shift) < 0.05
 
 
-def read_everywhere(body: Body, scores: np.ndarray) -> np.ndarray:
+def read_everywhere(body: SplineDomain, scores: np.ndarray) -> np.ndarray:
     """Every spline at every voxel, in float32, shape (r, r, r, channels)."""
     lattice = body.lattice
     near = np.full((*lattice.number.shape, scores.shape[1]), np.nan, np.float32)
@@ -186,7 +186,7 @@ def read_everywhere(body: Body, scores: np.ndarray) -> np.ndarray:
     return near
 
 
-def plain_labels(body: Body, scores: np.ndarray) -> np.ndarray:
+def plain_labels(body: SplineDomain, scores: np.ndarray) -> np.ndarray:
     """The greatest of all splines at each voxel inside, small components merged, with a border of 0."""
     everywhere = np.nan_to_num(read_everywhere(body, scores), nan=-np.inf)
     labels = np.pad(np.where(body.surface > 0, everywhere.argmax(axis=-1) + 1, 0).astype(np.int16), 1)
@@ -198,7 +198,7 @@ def plain_labels(body: Body, scores: np.ndarray) -> np.ndarray:
     return labels
 
 
-def plain_distance(body: Body, scores: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def plain_distance(body: SplineDomain, scores: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Distance to the cracks [voxels]: of planes beside them, beyond by all four sweeps over all voxels."""
     everywhere = np.nan_to_num(read_everywhere(body, scores))
     inner = tuple(np.moveaxis(np.indices(body.grid.shape), 0, -1)[body.surface > 0].T)
@@ -228,7 +228,7 @@ def plain_distance(body: Body, scores: np.ndarray, labels: np.ndarray) -> np.nda
             for _, j, first, end in of_plane[:: 1 if turn in (0, 3) else -1]:
                 start = ((i + 1) * side + j + 1) * side + 1
                 for k in (*range(first, end), *range(end - 1, first - 1, -1)):
-                    field._update(flat, start + k, side, body.surface[i, j, k] * inverse)
+                    field._upwind_update(flat, start + k, side, body.surface[i, j, k] * inverse)
     return distance
 
 
@@ -238,7 +238,7 @@ def test_shortcuts_change_nothing(shape: str) -> None:
     drawn = model(body, seed=len(shape))
     for code in drawn.codebook[:2]:
         scores = drawn.node_features @ network.mixing_matrices(drawn.weights, code[None], np)[0]
-        found, labels = volume_of(body, scores), plain_labels(body, scores)
+        found, labels = decode_logits(body, scores), plain_labels(body, scores)
         assert found.cuts is not None and len(np.unique(labels)) > 2
         assert (found.cuts == cut_faces(labels[1:-1, 1:-1, 1:-1])).all()
         distance = plain_distance(body, scores, labels)[1:-1, 1:-1, 1:-1]
@@ -246,7 +246,7 @@ def test_shortcuts_change_nothing(shape: str) -> None:
         assert np.abs(found.values - wanted).max() < 1e-4 * body.grid.spacing
 
 
-def somewhere(shape: str) -> Body:
+def somewhere(shape: str) -> SplineDomain:
     """A small body off the middle of a grid."""
     grid = Grid(32)
     place = grid.centres() - 0.2
@@ -257,7 +257,7 @@ def somewhere(shape: str) -> Body:
     else:
         half = {"bar": [0.7, 0.2, 0.2], "plate": [0.08, 0.5, 0.6]}[shape]
         surface = (np.array(half) - np.abs(place)).min(axis=-1)
-    return Body.of(grid, surface.astype(np.float32))
+    return SplineDomain.of(grid, surface.astype(np.float32))
 
 
 def test_a_model_divides_alike_at_any_resolution() -> None:
@@ -273,7 +273,7 @@ def test_a_model_divides_alike_at_any_resolution() -> None:
 def test_a_models_resolution_can_be_changed() -> None:
     shape = builtin("bar")
     grid = Grid(32)
-    own = model(Body.of(grid, signed_distance(shape.mesh, grid)))
+    own = model(SplineDomain.of(grid, signed_distance(shape.mesh, grid)))
     finer = own.at(shape, 64)
     assert finer.domain.grid.resolution == 64
     assert finer.matches_shape(shape)
@@ -290,7 +290,7 @@ def test_the_same_code_gives_the_same_bytes() -> None:
 
 def test_scores_of_another_body_are_refused() -> None:
     with pytest.raises(BadInput, match="shape"):
-        volume_of(ball(32), np.zeros((5, 3), np.float32))
+        decode_logits(ball(32), np.zeros((5, 3), np.float32))
 
 
 # The selection of a code

@@ -10,7 +10,7 @@ from deepfracture.compare import variation_of_information
 from deepfracture.learn import Normaliser, PartitionConfig, PartitionModel, normalise_impact
 from deepfracture.learn.codes import encode_impulses, nearest_codes
 from deepfracture.learn.partition import network
-from deepfracture.learn.partition.field import Body
+from deepfracture.learn.partition.field import SplineDomain
 from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector
 from deepfracture.learn.partition.targets import FADE, anchors, target_of
 from deepfracture.types import BadInput, FracturePattern, Grid, Impact
@@ -23,8 +23,8 @@ def ball_distance(radius: float = 0.9) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def body() -> Body:
-    return Body.of(GRID, ball_distance())
+def body() -> SplineDomain:
+    return SplineDomain.of(GRID, ball_distance())
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_the_nearest_code_is_chosen() -> None:
 # Targets
 
 
-def test_the_odds_of_a_target_are_the_distance_to_the_crack(pattern: FracturePattern, body: Body) -> None:
+def test_the_odds_of_a_target_are_the_distance_to_the_crack(pattern: FracturePattern, body: SplineDomain) -> None:
     target = target_of(pattern, body.voxels, anchors(body.points, 8))
     share = target.share.astype(float)
     near = (target.channel != target.next) & (share < 0.95)
@@ -134,7 +134,7 @@ def test_the_odds_of_a_target_are_the_distance_to_the_crack(pattern: FracturePat
     assert depth == pytest.approx(pattern.distance[body.voxels][near] / GRID.spacing, abs=0.01)
 
 
-def test_fragments_that_touch_never_share_a_channel(body: Body) -> None:
+def test_fragments_that_touch_never_share_a_channel(body: SplineDomain) -> None:
     many = voronoi_pattern(np.random.default_rng(3).uniform(-0.8, 0.8, (40, 3)), ball_distance() > 0, GRID)
     target = target_of(many, body.voxels, anchors(body.points, 24))
     assert many.count > 24
@@ -144,7 +144,7 @@ def test_fragments_that_touch_never_share_a_channel(body: Body) -> None:
         assert len(np.unique(target.channel[many.labels[body.voxels] == label])) == 1
 
 
-def test_voxels_without_a_label_take_a_neighbours(pattern: FracturePattern, body: Body) -> None:
+def test_voxels_without_a_label_take_a_neighbours(pattern: FracturePattern, body: SplineDomain) -> None:
     bare = pattern.labels.copy()
     bare[16, 16, 16] = 0
     target = target_of(FracturePattern(GRID, bare, pattern.distance), body.voxels, anchors(body.points, 8))
@@ -186,7 +186,7 @@ def test_a_model_knows_its_shape_by_its_surface_not_by_its_name() -> None:
     from deepfracture.types import Mesh, Shape
 
     shape, grid = builtin("bar"), Grid(32)
-    body = Body.of(grid, signed_distance(shape.mesh, grid))
+    body = SplineDomain.of(grid, signed_distance(shape.mesh, grid))
     none = [np.zeros(shape, np.float32) for shape in ((1, 1, 7), (1, 8), (1, 1))]
     nothing = MinimumRiskSelector(*none, ImpulseKernel(0.0, 1.0, 0.3))
     model = PartitionModel("bar", PartitionConfig(), Normaliser(1.0), body, {}, {}, nothing)

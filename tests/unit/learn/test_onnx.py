@@ -9,7 +9,7 @@ import pytest
 
 from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
 from deepfracture.learn.partition import network
-from deepfracture.learn.partition.field import _divide, _leaders
+from deepfracture.learn.partition.field import _assign_labels, _node_argmax
 from deepfracture.learn.partition.onnx import OUTPUTS, export_onnx, spline_matrix
 from deepfracture.types import BadInput, Impact
 
@@ -54,11 +54,11 @@ def answer(session, model: PartitionModel, impact: Impact, random, rank: int = 0
 
 
 def labels_of(model: PartitionModel, coefficients: np.ndarray) -> np.ndarray:
-    """The label of each voxel as `volume_of` finds it, before crumbs are swept away."""
+    """The label of each voxel as `decode_logits` finds it, before small components are relabelled."""
     body, lattice, r = model.domain, model.domain.lattice, model.domain.grid.resolution
     labels = np.zeros((r + 2,) * 3, np.int16)
-    leaders = _leaders(coefficients)
-    _divide(
+    leaders = _node_argmax(coefficients)
+    _assign_labels(
         coefficients, leaders, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels,
         0, len(lattice.cells),
     )  # fmt: skip

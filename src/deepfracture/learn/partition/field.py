@@ -1,6 +1,10 @@
-"""From the decoder's channels to a GS-SDF: where each voxel belongs, and how far the nearest crack is.
+"""From the decoder's logits to a GS-SDF: the fragment of each voxel, and the distance to the nearest crack.
 
-Outside and towards the surface nothing is predicted: the shape's own distance is exact there.
+1. Label each voxel with the channel of the greatest logit; logits are B-splines on a coarse lattice (`lattice`).
+2. Relabel small components, noise of the network, and mark the cut faces.
+3. Beside a crack, the distance is that to the plane where two logits are equal; beyond, fast sweeping solves the
+   eikonal equation (Zhao 2005).
+4. Outside, and where the surface is nearer than a crack, the shape's own distance is exact.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepfracture.learn.domain import VoxelDomain
-from deepfracture.learn.partition.lattice import Lattice
+from deepfracture.learn.partition.lattice import SplineLattice
 from deepfracture.runtime.parallel import parallel_for
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Volume
 from deepfracture.voxels.components import components_of_runs, runs_inside, uncut_runs
@@ -30,95 +34,96 @@ SLACK = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Body(VoxelDomain):
-    """The voxels inside a shape, and the lattice that functions over it are read from."""
+class SplineDomain(VoxelDomain):
+    """The voxels inside a shape, and the lattice on which functions over it are stored."""
 
     runs: NDArray[np.int32]
     """Voxels inside that follow each other along the last axis: i, j, first k, end k, shape (n, 4)."""
-    planes: Ints
+    plane_starts: Ints
     """First run of each i, and the end, shape (r + 1,)."""
-    lattice: Lattice
+    lattice: SplineLattice
 
     @staticmethod
-    def of(grid: Grid, surface: Floats32) -> Body:
+    def of(grid: Grid, surface: Floats32) -> SplineDomain:
         surface = np.ascontiguousarray(surface, np.float32)
         runs = runs_inside(surface)
-        planes = np.searchsorted(runs[:, 0], np.arange(grid.resolution + 1))
-        return Body(grid, surface, runs, planes, Lattice.of(grid, surface))
+        plane_starts = np.searchsorted(runs[:, 0], np.arange(grid.resolution + 1))
+        return SplineDomain(grid, surface, runs, plane_starts, SplineLattice.of(grid, surface))
 
     @property
     def nodes(self) -> Floats:
-        """Where `volume_of` needs the scores [m], shape (m, 3)."""
+        """Where `decode_logits` needs the logits [m], shape (m, 3)."""
         return self.lattice.nodes
 
 
-def volume_of(body: Body, scores: Floats32) -> Volume:
-    """The GS-SDF of channel scores.
+def decode_logits(domain: SplineDomain, logits: Floats32) -> Volume:
+    """The GS-SDF of channel logits.
 
     Args:
-        scores: Coefficients at `body.nodes` of the splines whose greatest a voxel belongs to, shape
-            (m, channels). For smooth functions these are nearly, and for linear ones exactly, their values
-            there; for waves they are the values times `Lattice.gain`.
+        logits: Spline coefficients of the logits at `domain.nodes`, shape (m, channels). For smooth functions these
+            are nearly, and for linear ones exactly, their values there; for sine waves they are the values times
+            `SplineLattice.gain`.
 
     Raises:
-        BadInput: There is not one row of scores for each node.
+        BadInput: There is not one row of logits for each node.
     """
-    if scores.ndim != 2 or len(scores) != len(body.nodes):
-        raise BadInput(f"scores must have shape ({len(body.nodes)}, channels), got {scores.shape}")
-    scores = np.ascontiguousarray(scores, np.float32)
-    r, lattice = body.grid.resolution, body.lattice
+    if logits.ndim != 2 or len(logits) != len(domain.nodes):
+        raise BadInput(f"logits must have shape ({len(domain.nodes)}, channels), got {logits.shape}")
+    logits = np.ascontiguousarray(logits, np.float32)
+    r, lattice = domain.grid.resolution, domain.lattice
     labels = np.zeros((r + 2, r + 2, r + 2), np.int16)
-    leaders = _leaders(scores)
+    argmax = _node_argmax(logits)
     parallel_for(
-        lambda first, last: _divide(
-            scores, leaders, lattice.cells, lattice.number, lattice.start, lattice.weights, body.surface, labels,
+        lambda first, last: _assign_labels(
+            logits, argmax, lattice.cells, lattice.number, lattice.start, lattice.weights, domain.surface, labels,
             first, last,
         ),
         len(lattice.cells), least=512,
     )  # fmt: skip
-    cuts, beside = _cracks(labels, body.runs)
-    runs = uncut_runs(body.runs, cuts)
+    cuts, beside = _cracks(labels, domain.runs)
+    runs = uncut_runs(domain.runs, cuts)
     if relabel_small_components(labels, runs, components_of_runs(runs, cuts), max(2, round(SMALL_COMPONENT * r**3))):
-        cuts, beside = _cracks(labels, body.runs)
+        cuts, beside = _cracks(labels, domain.runs)
     distance = np.full(labels.shape, np.float32(FAR))
     parallel_for(
-        lambda first, last: _at_cracks(
-            labels, scores, beside[first:last], lattice.number, lattice.cell, lattice.weights, distance
+        lambda first, last: _crack_distance(
+            labels, logits, beside[first:last], lattice.number, lattice.cell, lattice.weights, distance
         ),
         len(beside), least=1024,
     )  # fmt: skip
-    due = np.full(distance.size, False)
-    _sweep(distance.reshape(-1), body.surface, np.float32(body.grid.spacing), body.runs, body.planes, beside, due)
-    values = body.surface.copy()
-    spacing = np.float32(body.grid.spacing)
+    active = np.full(distance.size, False)
+    spacing = np.float32(domain.grid.spacing)
+    _fast_sweep(distance.reshape(-1), domain.surface, spacing, domain.runs, domain.plane_starts, beside, active)
+    values = domain.surface.copy()
     parallel_for(
-        lambda first, last: _take_nearer(values, distance, body.runs[first:last], spacing), len(body.runs), least=4096
-    )
-    return Volume(body.grid, values, cuts)
+        lambda first, last: _take_minimum(values, distance, domain.runs[first:last], spacing),
+        len(domain.runs), least=4096,
+    )  # fmt: skip
+    return Volume(domain.grid, values, cuts)
 
 
 @njit(cache=True)
-def _leaders(scores):
+def _node_argmax(logits):
     """The greatest channel at each node, the first of equals, shape (m,)."""
-    leaders = np.empty(len(scores), np.int16)
-    for node in range(len(scores)):
-        row = scores[node]
-        leader = 0
+    argmax = np.empty(len(logits), np.int16)
+    for node in range(len(logits)):
+        row = logits[node]
+        greatest = 0
         for m in range(1, len(row)):
-            if row[m] > row[leader]:
-                leader = m
-        leaders[node] = leader
-    return leaders
+            if row[m] > row[greatest]:
+                greatest = m
+        argmax[node] = greatest
+    return argmax
 
 
 @njit(cache=True, nogil=True)
-def _divide(scores, leaders, cells, number, start, weights, surface, labels, first, last):
-    """Give each voxel inside some cells to the channel of the greatest spline, as the label 1 above the channel.
+def _assign_labels(logits, argmax, cells, number, start, weights, surface, labels, first, last):
+    """Label each voxel inside some cells with the channel of the greatest spline, plus 1.
 
-    A spline lies between the least and the greatest of the coefficients that it depends on. So a channel
-    whose coefficients are all below those of another has no voxel of the cell; mostly one is left."""
-    ahead = np.empty(scores.shape[1], np.float32)
-    rivals = np.empty(scores.shape[1], np.int16)
+    A spline lies between the least and the greatest of the coefficients that it depends on (convex hull property). So
+    a channel whose coefficients are all below those of another has no voxel of the cell; mostly one is left."""
+    margin = np.empty(logits.shape[1], np.float32)
+    candidates = np.empty(logits.shape[1], np.int16)
     near = np.empty((3, 3, 3), np.float32)
     widest = np.diff(start).max()
     best = np.empty((widest, widest, widest), np.float32)
@@ -126,12 +131,12 @@ def _divide(scores, leaders, cells, number, start, weights, surface, labels, fir
         cell = cells[n, 0], cells[n, 1], cells[n, 2]
         low = start[cell[0]], start[cell[1]], start[cell[2]]
         high = start[cell[0] + 1], start[cell[1] + 1], start[cell[2] + 1]
-        count = _rivals(scores, leaders, number, cell, ahead, rivals)
+        count = _candidates(logits, argmax, number, cell, margin, candidates)
         for x in range(low[0], high[0]):
             for y in range(low[1], high[1]):
                 for z in range(low[2], high[2]):
                     if surface[x, y, z] > 0:
-                        labels[x + 1, y + 1, z + 1] = rivals[0] + 1
+                        labels[x + 1, y + 1, z + 1] = candidates[0] + 1
         if count == 1:
             continue
         best[:] = -np.inf
@@ -139,44 +144,44 @@ def _divide(scores, leaders, cells, number, start, weights, surface, labels, fir
             for a in range(3):
                 for b in range(3):
                     for c in range(3):
-                        near[a, b, c] = scores[number[cell[0] + a, cell[1] + b, cell[2] + c], rivals[m]]
-            _raise(near, rivals[m] + 1, weights, low, high, best, surface, labels)
+                        near[a, b, c] = logits[number[cell[0] + a, cell[1] + b, cell[2] + c], candidates[m]]
+            _evaluate_spline(near, candidates[m] + 1, weights, low, high, best, surface, labels)
 
 
 @njit(cache=True, nogil=True)
-def _rivals(scores, leaders, number, cell, ahead, rivals):
-    """Channels that can be the greatest somewhere in the cell, in `rivals`; returns how many.
+def _candidates(logits, argmax, number, cell, margin, candidates):
+    """Write the channels that can be the greatest somewhere in the cell to `candidates`; returns how many.
 
-    Nothing is ahead of the leader of the cell at a node where it leads too, and mostly it leads at all."""
-    leader = leaders[number[cell[0] + 1, cell[1] + 1, cell[2] + 1]]
-    rivals[0] = leader
+    No channel exceeds that of the cell's central node at a node where it is the greatest too: mostly at all."""
+    greatest = argmax[number[cell[0] + 1, cell[1] + 1, cell[2] + 1]]
+    candidates[0] = greatest
     contested = False
     for a in range(3):
         for b in range(3):
             for c in range(3):
                 node = number[cell[0] + a, cell[1] + b, cell[2] + c]
-                if leaders[node] == leader:
+                if argmax[node] == greatest:
                     continue
                 if not contested:
-                    ahead[:] = -np.inf
+                    margin[:] = -np.inf
                     contested = True
-                row = scores[node]
-                bar = row[leader]
+                row = logits[node]
+                bar = row[greatest]
                 for m in range(len(row)):
                     over = row[m] - bar
-                    ahead[m] = over if over > ahead[m] else ahead[m]
+                    margin[m] = over if over > margin[m] else margin[m]
     count = 1
     if contested:
-        for m in range(len(ahead)):
-            if ahead[m] > 0 and m != leader:
-                rivals[count] = m
+        for m in range(len(margin)):
+            if margin[m] > 0 and m != greatest:
+                candidates[count] = m
                 count += 1
     return count
 
 
 @njit(cache=True, nogil=True)
-def _raise(near, label, weights, low, high, best, surface, labels):
-    """Give the voxels of a cell where the spline `near` is above `best` to its label, an axis at a time."""
+def _evaluate_spline(near, label, weights, low, high, best, surface, labels):
+    """Label the voxels of a cell where the spline with coefficients `near` exceeds `best`, one axis at a time."""
     plane = np.empty((3, 3), np.float32)
     for x in range(low[0], high[0]):
         for b in range(3):
@@ -230,27 +235,27 @@ def _mark_cracks(labels, runs, cuts):
 
 
 @njit(cache=True, nogil=True)
-def _at_cracks(labels, scores, beside, number, cell, weights, distance):
+def _crack_distance(labels, logits, beside, number, cell, weights, distance):
     """Distance to the crack [voxels] for the voxels `beside` one.
 
     Along an edge the crack lies where the two channels are equal, linearly; crossings t along the axes
     are those of a plane at the distance (sum of 1 / t^2)^(-1/2)."""
     for n in range(len(beside)):
         i, j, k = beside[n]
-        mine = labels[i + 1, j + 1, k + 1]
+        own = labels[i + 1, j + 1, k + 1]
         total = np.float32(0.0)
-        known, ahead = mine, np.float32(0.0)
+        known, margin = own, np.float32(0.0)
         for axis in range(3):
             nearest = np.float32(2.0)
             for step in (-1, 1):
                 x, y, z = i + step * (axis == 0), j + step * (axis == 1), k + step * (axis == 2)
                 other = labels[x + 1, y + 1, z + 1]
-                if other == 0 or other == mine:
+                if other == 0 or other == own:
                     continue
                 if other != known:
-                    known, ahead = other, _ahead(scores, number, cell, weights, mine - 1, other - 1, i, j, k)
-                behind = _ahead(scores, number, cell, weights, other - 1, mine - 1, x, y, z)
-                crossing = ahead / (ahead + behind) if ahead + behind > 0 else np.float32(0.5)
+                    known, margin = other, _margin(logits, number, cell, weights, own - 1, other - 1, i, j, k)
+                opposite = _margin(logits, number, cell, weights, other - 1, own - 1, x, y, z)
+                crossing = margin / (margin + opposite) if margin + opposite > 0 else np.float32(0.5)
                 nearest = min(nearest, max(crossing, np.float32(NEAREST)))
             if nearest < 2:
                 total += 1 / (nearest * nearest)
@@ -258,69 +263,69 @@ def _at_cracks(labels, scores, beside, number, cell, weights, distance):
 
 
 @njit(cache=True, nogil=True)
-def _ahead(scores, number, cell, weights, mine, other, i, j, k):
-    """By how much channel `mine` is above `other` at voxel (i, j, k), 0 if it is not."""
+def _margin(logits, number, cell, weights, own, other, i, j, k):
+    """By how much the logit of channel `own` exceeds that of `other` at voxel (i, j, k), at least 0."""
     value = np.float32(0.0)
     for a in range(3):
         for b in range(3):
             line = np.float32(0.0)
             for c in range(3):
                 node = number[cell[i] + a, cell[j] + b, cell[k] + c]
-                line += weights[k, c] * (scores[node, mine] - scores[node, other])
+                line += weights[k, c] * (logits[node, own] - logits[node, other])
             value += weights[i, a] * weights[j, b] * line
     return max(value, np.float32(0.0))
 
 
 @njit(cache=True)
-def _sweep(distance, surface, spacing, runs, planes, beside, due):
+def _fast_sweep(distance, surface, spacing, runs, plane_starts, beside, active):
     """Solve the eikonal equation |grad d| = 1 from the voxels known (Zhao 2005, fast sweeping), unit spacing.
 
     Voxels nearer to the surface than to any crack by SLACK are left out: the shortest way from a crack to
     a voxel that needs its distance leads through none of them. A voxel none of whose neighbours has changed
-    since its last turn is passed over (Bak, McLaughlin and Renzi 2010), which changes nothing but the time."""
+    since its last visit is skipped (Bak, McLaughlin and Renzi 2010), which changes nothing but the time."""
     side = np.int64(surface.shape[0] + 2)
-    last = len(planes) - 2
+    last = len(plane_starts) - 2
     inverse = np.float32(1.0) / spacing
-    lines = np.zeros(side * side, np.bool_)  # those that hold voxels `due`, which a neighbour may lower
+    lines = np.zeros(side * side, np.bool_)  # those that hold voxels `active`, which a neighbour may lower
     for n in range(len(beside)):
         line = (beside[n, 0] + 1) * side + beside[n, 1] + 1
-        _announce(distance, line * side + beside[n, 2] + 1, line, side, due, lines)
-    for turn in range(4):
+        _activate(distance, line * side + beside[n, 2] + 1, line, side, active, lines)
+    for sweep in range(4):
         for layer in range(last + 1):
-            i = layer if turn % 2 == 0 else last - layer
-            for m in range(planes[i], planes[i + 1]):
-                n = m if turn in (0, 3) else planes[i] + planes[i + 1] - 1 - m
+            i = layer if sweep % 2 == 0 else last - layer
+            for m in range(plane_starts[i], plane_starts[i + 1]):
+                n = m if sweep in (0, 3) else plane_starts[i] + plane_starts[i + 1] - 1 - m
                 line = (i + 1) * side + runs[n, 1] + 1
                 if lines[line]:
                     start, near = line * side + 1, surface[i, runs[n, 1]]
                     for k in range(runs[n, 2], runs[n, 3]):
-                        if due[start + k]:
-                            _take_turn(distance, start + k, line, side, near[k] * inverse, due, lines)
+                        if active[start + k]:
+                            _visit(distance, start + k, line, side, near[k] * inverse, active, lines)
                     for k in range(runs[n, 3] - 1, runs[n, 2] - 1, -1):
-                        if due[start + k]:
-                            _take_turn(distance, start + k, line, side, near[k] * inverse, due, lines)
+                        if active[start + k]:
+                            _visit(distance, start + k, line, side, near[k] * inverse, active, lines)
 
 
 @njit(cache=True, inline="always")
-def _take_turn(distance, voxel, line, side, surface, due, lines):
-    due[voxel] = False
-    if _update(distance, voxel, side, surface):
-        _announce(distance, voxel, line, side, due, lines)
+def _visit(distance, voxel, line, side, surface, active, lines):
+    active[voxel] = False
+    if _upwind_update(distance, voxel, side, surface):
+        _activate(distance, voxel, line, side, active, lines)
 
 
 @njit(cache=True, inline="always")
-def _announce(distance, voxel, line, side, due, lines):
-    """Let the neighbours that are farther than `voxel` have their turn."""
+def _activate(distance, voxel, line, side, active, lines):
+    """Mark the neighbours that are farther than `voxel` to be visited."""
     here = distance[voxel]
     for step, across in ((1, 0), (side, 1), (side * side, side)):
         if distance[voxel - step] > here:
-            due[voxel - step] = lines[line - across] = True
+            active[voxel - step] = lines[line - across] = True
         if distance[voxel + step] > here:
-            due[voxel + step] = lines[line + across] = True
+            active[voxel + step] = lines[line + across] = True
 
 
 @njit(cache=True, inline="always")
-def _update(distance, voxel, side, surface):
+def _upwind_update(distance, voxel, side, surface):
     a = min(distance[voxel - 1], distance[voxel + 1])
     b = min(distance[voxel - side], distance[voxel + side])
     c = min(distance[voxel - side * side], distance[voxel + side * side])
@@ -336,8 +341,8 @@ def _update(distance, voxel, side, surface):
         if best > high:
             third = np.float32(1 / 3)
             mean = (low + middle + high) * third
-            parallel_for = (np.float32(1.0) - (low * low + middle * middle + high * high)) * third + mean * mean
-            best = mean + np.sqrt(max(np.float32(0.0), parallel_for))
+            discriminant = (np.float32(1.0) - (low * low + middle * middle + high * high)) * third + mean * mean
+            best = mean + np.sqrt(max(np.float32(0.0), discriminant))
     if best < here:
         distance[voxel] = best
         return True
@@ -345,7 +350,7 @@ def _update(distance, voxel, side, surface):
 
 
 @njit(cache=True, nogil=True)
-def _take_nearer(values, distance, runs, spacing):
+def _take_minimum(values, distance, runs, spacing):
     """Lower the distance to the surface [m] inside to that to the crack where that is smaller."""
     for n in range(len(runs)):
         i, j = runs[n, 0], runs[n, 1]

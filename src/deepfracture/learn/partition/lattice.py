@@ -1,6 +1,6 @@
-"""Smooth functions over a body from few coefficients: quadratic B-splines on a coarse lattice.
+"""Smooth functions over a shape from few coefficients: quadratic B-splines on a coarse lattice (de Boor 1978).
 
-The lattice is the same whatever the resolution of the grid: what a model has learned can be read at any.
+The lattice does not depend on the resolution of the grid, so a model can be evaluated at any.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MOST_NODES = 19_000
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class SplineLattice:
     """Cells that tile the grid, and nodes at their centres and around; a spline has a coefficient a node."""
 
     cells: NDArray[np.int32]
@@ -39,7 +39,7 @@ class Lattice:
     """Side of a cell [m]."""
 
     @staticmethod
-    def of(grid: Grid, surface: Floats32) -> Lattice:
+    def of(grid: Grid, surface: Floats32) -> SplineLattice:
         """The finest lattice that needs no more than MOST_NODES for the voxels where `surface` is positive."""
         for count in CELLS:
             cell, rest = np.divmod((2 * np.arange(grid.resolution) + 1) * count, 2 * grid.resolution)
@@ -52,7 +52,7 @@ class Lattice:
         width = 2.0 / count
         t = rest / (2 * grid.resolution)  # of the way through the cell
         weights = np.stack([(1 - t) ** 2 / 2, 0.75 - (t - 0.5) ** 2, t**2 / 2], axis=1)
-        return Lattice(
+        return SplineLattice(
             np.argwhere(held).astype(np.int32),
             number,
             np.asarray((place - 0.5) * width - 1.0, float),
@@ -63,7 +63,7 @@ class Lattice:
         )
 
     def gain(self, vectors: ArrayLike) -> Floats:
-        """How much to raise waves of wave `vectors` [1/m], shape (3, n), at the nodes, so that the splines
+        """Factors for the values of sine waves of wave `vectors` [1/m], shape (3, n), at the nodes, so that the splines
         with these coefficients are nearest to the waves, by least squares; shape (n,).
 
         Along an axis the spline of sin(kx) is sinc^3 of it and its aliases; the ratio is that of its

@@ -16,8 +16,7 @@ from deepfracture.learn.model import Model
 from deepfracture.learn.normaliser import Normaliser
 from deepfracture.learn.partition import network
 from deepfracture.learn.partition.config import PartitionConfig
-from deepfracture.learn.partition.field import Body as SplineDomain
-from deepfracture.learn.partition.field import volume_of as decode_logits
+from deepfracture.learn.partition.field import SplineDomain, decode_logits
 from deepfracture.learn.partition.selector import ImpulseKernel, MinimumRiskSelector
 from deepfracture.runtime.parallel import parallel_matmul, single_threaded_blas
 from deepfracture.types import BadInput, Floats32, Grid, Ints, Shape, Volume

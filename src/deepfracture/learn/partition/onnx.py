@@ -1,7 +1,7 @@
 """A trained model as an ONNX graph: from an impulse to the fragment that each voxel belongs to, by any runtime.
 
-In the graph are the normaliser, the sine layer, the choice of the code, the decoder, and the splines up to the greatest
-channel of each voxel. docs/reference/onnx.md describes the inputs, the outputs and the steps that remain outside.
+In the graph are the normaliser, the sine layer, the selection of the code, the decoder, and the splines up to the
+greatest channel of each voxel. docs/reference/onnx.md describes the inputs, the outputs and the steps that remain.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from deepfracture.learn.codes import OMEGA
 from deepfracture.learn.inference import BANDWIDTH
 from deepfracture.learn.partition.field import SMALL_COMPONENT
-from deepfracture.learn.partition.lattice import Lattice
+from deepfracture.learn.partition.lattice import SplineLattice
 from deepfracture.learn.partition.selector import LEAST_WEIGHT
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import atomic_file
@@ -60,10 +60,10 @@ def onnx_graph(model: PartitionModel) -> ModelProto:
     order = _order(graph, model, rows)
     code = _code(graph, model, order)
     coefficients = _coefficients(graph, model, code)
-    scores = _scores(graph, model.domain.lattice, coefficients, model.channels)
+    logits = _logits(graph, model.domain.lattice, coefficients, model.channels)
     surface = graph.const("surface_distance", model.domain.surface)
-    _labels(graph, scores, surface)
-    for made, name in ((scores, "scores"), (coefficients, "coefficients"), (code, "code"), (order, "order")):
+    _labels(graph, logits, surface)
+    for made, name in ((logits, "scores"), (coefficients, "coefficients"), (code, "code"), (order, "order")):
         graph.node("Identity", made, name=name)
     graph.node("Identity", surface, name="surface")
     r, n, real = grid.resolution, len(model.selector.impulses), TensorProto.FLOAT
@@ -217,7 +217,7 @@ def _coefficients(graph: _Graph, model: PartitionModel, code: str) -> str:
     return graph.node("MatMul", graph.node("Mul", waves, graph.const("waves.gain", gain)), matrix)
 
 
-def _scores(graph: _Graph, lattice: Lattice, coefficients: str, channels: int) -> str:
+def _logits(graph: _Graph, lattice: SplineLattice, coefficients: str, channels: int) -> str:
     """The splines at all voxels, shape (r, r, r, channels), an axis at a time; voxels outside the body mean nothing."""
     side = lattice.number.shape[0]
     r = len(lattice.cell)
@@ -230,7 +230,7 @@ def _scores(graph: _Graph, lattice: Lattice, coefficients: str, channels: int) -
     return values
 
 
-def spline_matrix(lattice: Lattice) -> Floats32:
+def spline_matrix(lattice: SplineLattice) -> Floats32:
     """From nodes along an axis to voxels along it, shape (r, cells + 2): three weights a row."""
     r = len(lattice.cell)
     matrix = np.zeros((r, lattice.number.shape[0]), np.float32)
@@ -239,11 +239,11 @@ def spline_matrix(lattice: Lattice) -> Floats32:
     return matrix
 
 
-def _labels(graph: _Graph, scores: str, surface: str) -> str:
+def _labels(graph: _Graph, logits: str, surface: str) -> str:
     """1 above the greatest channel of each voxel inside, 0 outside, shape (r, r, r)."""
     from onnx import TensorProto
 
-    best = graph.node("Cast", graph.node("ArgMax", scores, axis=3, keepdims=0), to=TensorProto.UINT8)
+    best = graph.node("Cast", graph.node("ArgMax", logits, axis=3, keepdims=0), to=TensorProto.UINT8)
     inside = graph.node("Cast", graph.node("Greater", surface, graph.number(0)), to=TensorProto.UINT8)
     above = graph.node("Add", best, graph.const("one", np.uint8(1)))
     return graph.node("Mul", above, inside, name="labels")

@@ -1,4 +1,4 @@
-"""What the network is taught: for each voxel inside, the channel of its fragment and of the next one.
+"""Training targets: for each voxel inside, the channel of its fragment and of the next one.
 
 Fragments of different patterns that lie in the same place share a channel, as far as possible, so that
 channels mean places. Close to a crack the target is a probability, by the distance to the crack, so that
@@ -17,11 +17,11 @@ from scipy.optimize import linear_sum_assignment
 from deepfracture.types import Floats, FracturePattern, Ints
 
 FADE = 0.35
-"""Voxels over which one channel gives way to the next at a crack (a logistic function's scale)."""
-SURE = 0.99
-"""Highest probability asked for: the margins between channels stay finite."""
-LIGHTEST, HEAVIEST = 0.3, 4.0
-"""Weight of a voxel against the mean, by its fragment's size: small fragments must not be forgotten."""
+"""Scale [voxels] of the logistic transition between two channels at a crack."""
+GREATEST_PROBABILITY = 0.99
+"""Of a target (label smoothing): the margins between channels stay finite."""
+LEAST_WEIGHT, GREATEST_WEIGHT = 0.3, 4.0
+"""Weight of a voxel against the mean, by its fragment's size: without it the network forgets small fragments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,10 @@ def target_of(pattern: FracturePattern, voxels: tuple[Ints, Ints, Ints], places:
     mine, other = labels[voxels], beyond[voxels]
     near = other > 0
     depth = pattern.distance[voxels] / (FADE * pattern.grid.spacing)
-    share = np.where(near, np.minimum(1 / (1 + np.exp(-np.minimum(depth, 20))), SURE), 1.0)
+    share = np.where(near, np.minimum(1 / (1 + np.exp(-np.minimum(depth, 20))), GREATEST_PROBABILITY), 1.0)
     sizes = np.bincount(mine, minlength=len(channel_of))
     mean = len(mine) / np.count_nonzero(sizes)
-    weight = np.clip(np.sqrt(mean / np.maximum(sizes, 1)), LIGHTEST, HEAVIEST)[mine]
+    weight = np.clip(np.sqrt(mean / np.maximum(sizes, 1)), LEAST_WEIGHT, GREATEST_WEIGHT)[mine]
     channel = channel_of[mine]
     return Target(
         channel,

@@ -21,7 +21,7 @@ from deepfracture.learn.memory_map import memory_map, memory_mapped
 from deepfracture.learn.optimiser import adam_state, load_adam_state
 from deepfracture.learn.partition import network
 from deepfracture.learn.partition.config import PartitionConfig
-from deepfracture.learn.partition.field import Body as SplineDomain
+from deepfracture.learn.partition.field import SplineDomain
 from deepfracture.learn.partition.model import PartitionModel
 from deepfracture.learn.partition.selector import MinimumRiskSelector, fit_kernel, pairwise_distances
 from deepfracture.learn.partition.targets import anchors, target_of
