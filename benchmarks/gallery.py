@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import deepfracture as df
 from deepfracture.recording.motion import break_frame, exists, pose
 from deepfracture.render.camera import Camera, frame_points
-from deepfracture.render.studio import RecordingStudio
+from deepfracture.render.renderer import RecordingRenderer
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import Appearance, Finish, Floats, Recording, Shape
@@ -152,7 +152,7 @@ def in_flight(recording: Recording, after: float, size: tuple[int, int]) -> NDAr
     """The world `after` seconds from the break, from where the ball is seen from its side."""
     frame = min((break_frame(recording) or 0) + round(after / recording.frame_time), recording.frames - 1)
     camera = _camera(recording, frame, size[0] / size[1])
-    return RecordingStudio(recording, camera, size=size, samples=3, taps=64).picture(frame)
+    return RecordingRenderer(recording, camera, size=size, samples=3, taps=64).picture(frame)
 
 
 def _camera(recording: Recording, frame: int, aspect: float) -> Camera:

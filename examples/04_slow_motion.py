@@ -23,7 +23,7 @@ from deepfracture.geometry import builtin
 from deepfracture.recording.motion import break_frame, exists, pose
 from deepfracture.render import write_film
 from deepfracture.render.camera import frame_points
-from deepfracture.render.studio import RecordingStudio
+from deepfracture.render.renderer import RecordingRenderer
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Appearance, BadInput, Finish, Floats, Ints, Recording, Shape
@@ -157,9 +157,9 @@ def strip(recording: Recording, path: Path, size: tuple[int, int]) -> None:
     hit = break_frame(recording) or 0
     frames = np.clip(hit + np.rint(np.array(STILLS) / recording.frame_time).astype(int), 0, recording.frames - 1)
     camera = frame_points(_places(recording, frames), size[0] / size[1], azimuth=VIEW)
-    studio = RecordingStudio(recording, camera, size=size, samples=3, taps=64)
+    renderer = RecordingRenderer(recording, camera, size=size, samples=3, taps=64)
     gap = np.full((size[1], GAP, 3), 255, np.uint8)
-    row = [piece for frame in frames for piece in (studio.picture(int(frame)), gap)][:-1]
+    row = [piece for frame in frames for piece in (renderer.picture(int(frame)), gap)][:-1]
     with atomic_file(path) as temporary:
         Image.fromarray(np.concatenate(row, axis=1)).save(temporary, format="PNG", optimize=True)
 

@@ -22,7 +22,7 @@ import deepfracture as df
 from deepfracture.recording.motion import break_frame
 from deepfracture.render.camera import frame_action
 from deepfracture.render.film import FILM_RATE, in_threads, write_pictures
-from deepfracture.render.studio import RecordingStudio
+from deepfracture.render.renderer import RecordingRenderer
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Appearance, Finish, Ints, Recording, Shape
@@ -151,9 +151,9 @@ def drawn(
     frames = np.minimum(frames, recording.frames - 1)
     shown = cut_out(recording, 0, int(frames[-1]) + 1)
     camera = frame_action(shown, size[0] / size[1])
-    studio = RecordingStudio(shown, camera, size=size, samples=samples)
+    renderer = RecordingRenderer(shown, camera, size=size, samples=samples)
     kept = round(shot.still * (count - 1))
-    for number, picture in enumerate(in_threads(studio.picture, [int(frame) for frame in frames])):
+    for number, picture in enumerate(in_threads(renderer.picture, [int(frame) for frame in frames])):
         titled = captioned(picture, shot.caption)
         if number == kept:
             with atomic_file(still) as temporary:

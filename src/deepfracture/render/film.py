@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepfracture.render.camera import frame_action
-from deepfracture.render.studio import RecordingStudio
+from deepfracture.render.renderer import RecordingRenderer
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import track
@@ -35,8 +35,8 @@ def write_film(
     ffmpeg that imageio-ffmpeg ships. BadInput without that library, RuntimeError when it has none for this machine."""
     frames = film_frames(recording, rate)
     camera = frame_action(recording, size[0] / size[1])
-    studio = RecordingStudio(recording, camera, size=size, samples=SAMPLES)
-    pictures = track(in_threads(studio.picture, frames), name="film", total=len(frames))
+    renderer = RecordingRenderer(recording, camera, size=size, samples=SAMPLES)
+    pictures = track(in_threads(renderer.picture, frames), name="film", total=len(frames))
     return write_pictures(pictures, path, size=size, rate=rate)
 
 

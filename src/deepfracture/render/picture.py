@@ -11,7 +11,7 @@ from deepfracture.recording.motion import break_frame
 from deepfracture.recording.surface import surfaces
 from deepfracture.render.camera import ELEVATION, frame_action, frame_points
 from deepfracture.render.film import in_threads
-from deepfracture.render.studio import Prop, RecordingStudio, Studio
+from deepfracture.render.renderer import Instance, RecordingRenderer, Renderer
 from deepfracture.runtime.files import atomic_file
 from deepfracture.types import Fragments, Recording, Shape
 
@@ -45,8 +45,8 @@ def exploded(
     moved = [piece.mesh.vertices + offset for piece, offset in zip(fragments, offsets, strict=True)]
     points = np.concatenate(moved)
     camera = frame_points(points, size[0] / size[1], azimuth=azimuth, elevation=elevation)
-    studio = Studio(
-        [Prop(surfaces(piece.mesh, piece.source, whole=shape)) for piece in fragments],
+    renderer = Renderer(
+        [Instance(surfaces(piece.mesh, piece.source, whole=shape)) for piece in fragments],
         camera,
         size=size,
         samples=STILL_SAMPLES,
@@ -55,7 +55,7 @@ def exploded(
         radius=1.3 * float(np.linalg.norm(points - camera.target, axis=1).max()),
     )
     turns = np.tile(np.eye(3), (len(fragments), 1, 1))
-    _save(studio.picture(turns, offsets, np.ones(len(fragments), bool)), path)
+    _save(renderer.picture(turns, offsets, np.ones(len(fragments), bool)), path)
 
 
 def before_hit_after(recording: Recording, path: str | os.PathLike, *, size: tuple[int, int] = (480, 400)) -> None:
@@ -69,9 +69,9 @@ def before_hit_after(recording: Recording, path: str | os.PathLike, *, size: tup
         early, late = round(BEFORE / recording.frame_time), round(AFTER_HIT / recording.frame_time)
         frames = [max(hit - 1 - early, 0), min(hit + late, last), last]
     camera = frame_action(recording, size[0] / size[1])
-    studio = RecordingStudio(recording, camera, size=size, samples=STILL_SAMPLES, taps=STILL_TAPS)
+    renderer = RecordingRenderer(recording, camera, size=size, samples=STILL_SAMPLES, taps=STILL_TAPS)
     gap = np.full((size[1], STRIP_GAP, 3), 255, np.uint8)
-    first, second, third = in_threads(studio.picture, frames)
+    first, second, third = in_threads(renderer.picture, frames)
     _save(np.concatenate([first, gap, second, gap, third], axis=1), path)
 
 

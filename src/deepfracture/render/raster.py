@@ -1,9 +1,8 @@
-"""Draws triangles in plain compiled loops: it needs no graphics driver and no system library,
-and the same scene gives the same picture on every machine.
+"""A software rasteriser in compiled loops: no graphics driver, no system library, and the same scene gives the same
+picture on every machine.
 
-A depth buffer decides what each sample sees; two more, from the key light and from straight above,
-give soft shadows and the open sky that ambient light comes from. The loops release Python's lock:
-threads draw several pictures at once.
+A depth buffer decides what each sample shows; two shadow maps, from the key light and from straight above, give soft
+shadows and ambient occlusion. The loops release the GIL, so threads draw several pictures at once.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from deepfracture.types import Floats32
 Triple = tuple[np.float32, np.float32, np.float32]
 
 NOTHING = -1
-"""What a sample sees that no triangle covers: the floor or the backdrop."""
+"""A sample that no triangle covers: it shows the floor or the backdrop."""
 OPTIONS = {"cache": True, "nogil": True, "fastmath": True, "_nrt": False}
-"""No loop here allocates, so none needs Numba to count references to arrays: threads that share arrays
-would wait for each other at the counters, which made shading three times slower."""
+"""No loop allocates, so Numba need not count references to arrays: threads that share arrays would wait for each other
+at the counters, which makes shading three times slower."""
 compiled = partial(njit, **OPTIONS)
 F = np.float32
 ZERO, ONE = F(0), F(1)
@@ -67,7 +66,7 @@ class Lights(NamedTuple):
 
 
 class Shadows(NamedTuple):
-    """What the lights see."""
+    """Shadow maps."""
 
     key_depth: Floats32
     """Depth buffer of the key light, shape (t, t)."""
@@ -124,7 +123,7 @@ def encoding() -> NDArray[np.uint8]:
     return np.round(255 * code).astype(np.uint8)
 
 
-def see(
+def rasterize(
     vertices: Floats32,
     faces: NDArray[np.int32],
     axes: Floats32,
@@ -141,7 +140,7 @@ def see(
     return (screen, *_drawn(screen, faces, size, 0.0))
 
 
-def see_parallel(
+def rasterize_parallel(
     vertices: Floats32,
     faces: NDArray[np.int32],
     axes: Floats32,
@@ -219,7 +218,7 @@ def _open(depth, table, x, y, z, radius, cosine, sine):
 
 
 @compiled()
-def sky_seen(points, normals, depth, centre, radius, reaches, table, seen):
+def sky_visibility(points, normals, depth, centre, radius, reaches, table, seen):
     """Share of the sky, into `seen` (n,), above points (n, 3) past what `depth`, the view from above, shows.
 
     reaches: radii of the discs [m] over which it looks."""
@@ -394,7 +393,9 @@ def _alike(depth, triangle, patch, page, top, left, samples):
 
 @compiled()
 def shade(samples, depth, triangle, screen, bodies, view, lights, shadows, encode, out):
-    """sRGB picture `out` (h, w, 3) of what `see` saw, samples x samples a pixel; `encode` = `encoding()`."""
+    """sRGB picture `out` (h, w, 3) of what `rasterize` left visible, samples x samples a pixel.
+
+    `encode` is `encoding()`."""
     middle, step = (F(triangle.shape[1]) / F(2), F(triangle.shape[0]) / F(2)), samples // 2
     for pixel in range(out.shape[0] * out.shape[1]):
         top, left = pixel // out.shape[1] * samples, pixel % out.shape[1] * samples

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from deepfracture.render.camera import frame_points
-from deepfracture.render.studio import RecordingStudio
+from deepfracture.render.renderer import RecordingRenderer
 from deepfracture.types import BadInput, Recording
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -55,7 +55,7 @@ def test_pieces_put_together_look_like_the_whole_pot() -> None:
     for azimuth in (-120.0, 60.0):
         camera = frame_points(points, 1.0, azimuth=azimuth)
         one, many = (
-            RecordingStudio(Recording(0.1, tuple(bodies)), camera, size=(160, 160), samples=2).picture(0).astype(int)
+            RecordingRenderer(Recording(0.1, tuple(bodies)), camera, size=(160, 160), samples=2).picture(0).astype(int)
             for bodies in ([replace(whole, **still)], pieces)
         )
         assert np.ptp(one) > 150

@@ -11,7 +11,7 @@ from PIL import Image
 from deepfracture.render import before_hit_after, exploded, write_film
 from deepfracture.render.camera import frame_action, frame_points
 from deepfracture.render.film import film_frames
-from deepfracture.render.studio import RecordingStudio
+from deepfracture.render.renderer import RecordingRenderer
 from deepfracture.types import Appearance, Recording
 
 tools = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "recordings.py"))
@@ -44,8 +44,8 @@ def reddish(picture):
 
 def test_bodies_are_drawn_where_the_camera_projects_them(recording):
     camera = frame_action(recording, 1.6)
-    studio = RecordingStudio(recording, camera, size=(160, 100), samples=2)
-    rows, columns = np.nonzero(reddish(studio.picture(0)))
+    renderer = RecordingRenderer(recording, camera, size=(160, 100), samples=2)
+    rows, columns = np.nonzero(reddish(renderer.picture(0)))
     seen = on_screen(camera, recording.tracks[1].mesh.moved(1.0, [0, 0, 2]).vertices, 1.6)
     box = np.array([80 * (1 + seen[:, 0]), 50 * (1 - seen[:, 1])])
     assert np.abs([columns.min(), rows.min()] - box.min(axis=1)).max() < 2
@@ -54,8 +54,8 @@ def test_bodies_are_drawn_where_the_camera_projects_them(recording):
 
 def test_the_floor_is_darker_in_a_shadow(recording):
     camera = frame_action(recording, 1.6)
-    studio = RecordingStudio(recording, camera, size=(160, 100), samples=1)
-    picture = studio.picture(60)
+    renderer = RecordingRenderer(recording, camera, size=(160, 100), samples=1)
+    picture = renderer.picture(60)
     floor = picture[~reddish(picture)].mean(axis=-1)
     assert floor.max() > 230
     assert (floor < 190).sum() > 50
@@ -63,7 +63,7 @@ def test_the_floor_is_darker_in_a_shadow(recording):
 
 def test_pictures_repeat_to_the_byte_and_change_when_things_move(recording):
     camera = frame_action(recording, 1.6)
-    first, second = (RecordingStudio(recording, camera, size=(80, 48), samples=2) for _ in range(2))
+    first, second = (RecordingRenderer(recording, camera, size=(80, 48), samples=2) for _ in range(2))
     assert (first.picture(20) == second.picture(20)).all()
     assert reddish(first.picture(20)).sum() > 100
     assert (first.picture(20) != first.picture(30)).any(axis=-1).sum() > 100
@@ -147,9 +147,9 @@ def test_vertex_colours_are_interpolated(tmp_path):
     grey = np.full((12, 3, 4), 255, np.uint8)
     grey[..., :3] = np.where(shape.mesh.triangles[..., 2:] > 0, 255, 0)
     recording = painted["filmed"](replace(shape, appearance=Appearance(np.zeros(12, int), colours=grey)), fragments)
-    studio = RecordingStudio(recording, frame_action(recording, 1.0), size=(128, 128), samples=2)
+    renderer = RecordingRenderer(recording, frame_action(recording, 1.0), size=(128, 128), samples=2)
     for frame in (0, 2):
-        column = studio.picture(frame)[:, 64].astype(int)
+        column = renderer.picture(frame)[:, 64].astype(int)
         dark = np.flatnonzero(column.max(axis=1) < 100)
         side = column[dark[0] - 12 : dark[0] + 12]
         assert (np.diff(side, axis=0) <= 3).all() and np.abs(np.diff(side, axis=0)).max() < 25

@@ -1,4 +1,4 @@
-"""A photographer's studio for recordings: bodies, lights, floor and camera, one picture a frame."""
+"""Renders recordings: bodies, lights, floor and camera, one picture a frame."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from deepfracture.render.raster import Lights, Shadows, View
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.95])
-"""Towards the key light: left, towards the viewer, up."""
+"""Towards the key light, in camera axes: left, towards the viewer, up."""
 FILL_LIGHT = np.array([0.85, 0.35, 0.25])
 BACKDROP = (246, 244, 241)
 GLOSS = {"outer": 0.35, "inner": 0.0, "ball": 1.0, "floor": 0.0, "block": 0.1}
 SHADOW_TEXELS, SKY_TEXELS = 640, 256
-"""Sides of the depth buffers of the key light and of the view from above."""
+"""Sides of the shadow maps of the key light and of the sky."""
 FLOOR_POINTS = 96
-"""Points along one side at which the floor's open sky is measured."""
+"""Points along one side of the floor at which sky visibility is computed."""
 SKY_TAPS = 32
 SKY_REACHES = np.array([0.12, 0.35])
-"""How far ambient light looks for what hides the sky, as shares of the lit region's radius."""
+"""Reach of the sky's occluders, as shares of the lit region's radius."""
 TEXTURE_SIDE = 1024
 """Texels along the longer side of a texture at most: the pictures are smaller than most."""
 SHADOW_SOFTNESS = 0.035
@@ -37,18 +37,18 @@ SHADOW_SOFTNESS = 0.035
 
 
 @dataclass(frozen=True, eq=False)
-class Prop:
-    """One thing in the studio: the surfaces that move with it."""
+class Instance:
+    """Surfaces that move together, as one body."""
 
     surfaces: tuple[Surface, ...]
 
 
-class Studio:
-    """Holds the props' triangles once; each picture only moves them."""
+class Renderer:
+    """Holds the triangles of all instances; each picture only moves them."""
 
     def __init__(
         self,
-        props: Sequence[Prop],
+        instances: Sequence[Instance],
         camera: Camera,
         *,
         size: tuple[int, int],
@@ -62,12 +62,12 @@ class Studio:
         taps: on the key light's soft shadow, more for less grain."""
         from deepfracture.render.raster import encoding
 
-        surfaces = [(b, s) for b, prop in enumerate(props) for s in prop.surfaces]
+        surfaces = [(b, s) for b, instance in enumerate(instances) for s in instance.surfaces]
         counts = [len(s.vertices) for _, s in surfaces]
         first = np.concatenate([[0], np.cumsum(counts)])[:-1]
         self.vertices = np.concatenate([s.vertices for _, s in surfaces])
         self.normals = np.concatenate([s.normals for _, s in surfaces])
-        stop = np.cumsum([sum(len(s.vertices) for s in prop.surfaces) for prop in props])
+        stop = np.cumsum([sum(len(s.vertices) for s in instance.surfaces) for instance in instances])
         self.parts = [slice(a, b) for a, b in zip([0, *stop[:-1]], stop, strict=True)]
         shifted = [s.faces + k for k, (_, s) in zip(first, surfaces, strict=True)]
         self.faces = np.concatenate(shifted).astype(np.int32)
@@ -85,7 +85,7 @@ class Studio:
         self.taps = taps
 
     def picture(self, rotations: Floats, offsets: Floats, shown: NDArray[np.bool_]) -> NDArray[np.uint8]:
-        """RGB picture (h, w, 3) with prop b turned by rotations[b], moved by offsets[b], if shown[b]."""
+        """RGB picture (h, w, 3) with instance b rotated by rotations[b] and moved by offsets[b], if shown[b]."""
         from deepfracture.render import raster
 
         vertices, normals = self._placed(rotations, offsets)
@@ -97,7 +97,7 @@ class Studio:
         looks = np.column_stack([normals, self.looks, sky, self.uv])
         bodies = raster.Bodies(faces, self.patch[seen], looks, self.page[seen], *self.atlas)
         axes, eye = self.camera.axes.astype(np.float32), self.camera.position.astype(np.float32)
-        screen, depth, triangle = raster.see(vertices, faces, axes, eye, view.focal, (width * s, height * s))
+        screen, depth, triangle = raster.rasterize(vertices, faces, axes, eye, view.focal, (width * s, height * s))
         out = np.empty((height, width, 3), np.uint8)
         raster.shade(s, depth, triangle, screen, bodies, view, lights, shadows, self.encode, out)
         return out
@@ -131,14 +131,14 @@ class Studio:
     def _lights(
         self, vertices: Floats32, normals: Floats32, faces: NDArray[np.int32]
     ) -> tuple[Lights, Shadows, Floats32]:
-        """The lights, what they see, and the share of the sky that each vertex sees."""
-        from deepfracture.render.raster import Lights, Shadows, see_parallel, sky_seen, taps, triple
+        """The lights, their shadow maps, and the share of the sky visible from each vertex."""
+        from deepfracture.render.raster import Lights, Shadows, rasterize_parallel, sky_visibility, taps, triple
 
         one, level = np.float32, level_axes(self.camera)
         key_axes, fill = _light_axes(KEY_LIGHT @ level).astype(one), FILL_LIGHT @ level
         centre, radius = self.camera.target.astype(one), one(self.radius)
         key, sky = (
-            see_parallel(vertices, faces, axes, centre, one(texels / (2 * radius)), (texels, texels))
+            rasterize_parallel(vertices, faces, axes, centre, one(texels / (2 * radius)), (texels, texels))
             for axes, texels in ((key_axes, SHADOW_TEXELS), (np.eye(3, dtype=one), SKY_TEXELS))
         )
         axis = np.linspace(-radius, radius, FLOOR_POINTS, dtype=one)
@@ -148,7 +148,7 @@ class Studio:
         upward = np.concatenate([normals, np.tile(np.array([0, 0, 1], one), (len(floor), 1))])
         reaches = (SKY_REACHES * radius).astype(one)
         seen = np.empty(len(points), one)
-        sky_seen(points, upward, sky, centre, radius, reaches, taps(SKY_TAPS), seen)
+        sky_visibility(points, upward, sky, centre, radius, reaches, taps(SKY_TAPS), seen)
         right, up, toward = key_axes
         lights = Lights(
             centre=triple(centre),
@@ -163,16 +163,16 @@ class Studio:
         return lights, Shadows(key, floor_sky, taps(self.taps)), seen[: len(vertices)]
 
 
-class RecordingStudio:
-    """A recording in the studio: pictures by frame number."""
+class RecordingRenderer:
+    """Renders a recording: pictures by frame number."""
 
     def __init__(
         self, recording: Recording, camera: Camera, *, size: tuple[int, int], samples: int, taps: int = 18
     ) -> None:
         self.tracks = [t for t in recording.tracks if t.kind != "floor" and len(t.positions)]
         reach = float(np.linalg.norm(camera.position - camera.target) * np.tan(np.radians(camera.field / 2)))
-        self.studio = Studio(
-            [Prop(track_surfaces(track)) for track in self.tracks],
+        self.renderer = Renderer(
+            [Instance(track_surfaces(track)) for track in self.tracks],
             camera,
             size=size,
             samples=samples,
@@ -189,7 +189,7 @@ class RecordingStudio:
             track = self.tracks[b]
             rotations[b] = rotation_matrices(track.quats_wxyz[frame - track.start])
             offsets[b] = track.positions[frame - track.start]
-        return self.studio.picture(rotations, offsets, shown)
+        return self.renderer.picture(rotations, offsets, shown)
 
 
 def level_axes(camera: Camera) -> Floats:
