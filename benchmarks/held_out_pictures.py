@@ -10,7 +10,7 @@ import tyro
 from contact_sheet import azimuth_of, grid_of, save
 from harness import ROOT, start
 
-from deepfracture.breakers import PatternSource, ways
+from deepfracture.breakers import PatternSource, ablations
 from deepfracture.carve import cut
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.render.picture import exploded
@@ -50,7 +50,7 @@ def held_out_pictures(
     impacts = unseen.impacts()
     groups.sort(key=lambda group: impacts[group[0]].magnitude[0])
     chosen = [groups[k] for k in np.linspace(0, len(groups) - 1, collisions).round().astype(int)]
-    learned = ways(unseen.shape, unseen.material, model)[""]
+    learned = ablations(unseen.shape, unseen.material, model)[""]
     cells: list[list[tuple[Path, str]]] = []
     for group in track(chosen, name="collisions"):
         impact = impacts[group[0]]

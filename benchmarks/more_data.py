@@ -16,8 +16,8 @@ import numpy as np
 import tyro
 from harness import ROOT, row_of_axes, save_figure, start, table, write_text
 
-from deepfracture.breakers import PatternSource, recall
-from deepfracture.breakers.recalled import Memory
+from deepfracture.breakers import PatternSource, open_patterns
+from deepfracture.breakers.stored_patterns import StoredPatterns
 from deepfracture.compare import describe
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import Interval, evaluate, refuse_overlap, score_samples
@@ -33,28 +33,28 @@ SEGMENT_SIZE = 8
 class Chosen:
     """The pattern of least Bayes risk among the first ones of a data set."""
 
-    memory: Memory
+    patterns: StoredPatterns
     normaliser: Normaliser
     selector: MinimumRiskSelector
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("choose"):
             random = rng.standard_normal(SEGMENT_SIZE, np.float32)
-            return self.memory.pattern(int(self.selector(self.normaliser(impact).astype(np.float32), random)[0]))
+            return self.patterns.pattern(int(self.selector(self.normaliser(impact).astype(np.float32), random)[0]))
 
 
 @dataclass(frozen=True, eq=False)
 class Closest:
     """The first patterns' nearest impulse."""
 
-    memory: Memory
+    patterns: StoredPatterns
     normaliser: Normaliser
     count: int
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("nearest"):
-            apart = ((self.memory.rows[: self.count] - self.normaliser(impact)[0]) ** 2).sum(axis=1)
-            return self.memory.pattern(int(apart.argmin()))
+            apart = ((self.patterns.rows[: self.count] - self.normaliser(impact)[0]) ** 2).sum(axis=1)
+            return self.patterns.pattern(int(apart.argmin()))
 
 
 def more_data(
@@ -90,20 +90,20 @@ def more_data(
 
 def sources(train: Dataset, sizes: Sequence[int]) -> dict[str, PatternSource]:
     """Both ways to choose, for each number of patterns."""
-    memory = recall(train.shape, train.path)
-    memory.load()
+    patterns = open_patterns(train.shape, train.path)
+    patterns.load()
     impacts = train.impacts()
     normaliser = Normaliser(train.max_impulse)
     rows = np.stack([normaliser(impact) for impact in impacts]).astype(np.float32)
-    apart = pairwise_distances([describe(memory.pattern(index), impacts[0]) for index in range(len(train))])
+    apart = pairwise_distances([describe(patterns.pattern(index), impacts[0]) for index in range(len(train))])
     segment = np.random.default_rng(0).standard_normal((len(rows), SEGMENT_SIZE)).astype(np.float32)
     whole = MinimumRiskSelector(rows, segment, apart, fit_kernel(rows, apart))
     found: dict[str, PatternSource] = {}
     for n in sizes:
         kernel = fit_kernel(rows[:n], apart[:n, :n])
         part = replace(whole, impulses=rows[:n], segment=segment[:n], pairwise=apart[:n, :n], kernel=kernel)
-        found[f"nearest of {n}"] = Closest(memory, normaliser, n)
-        found[f"typical of {n}"] = Chosen(memory, normaliser, part)
+        found[f"nearest of {n}"] = Closest(patterns, normaliser, n)
+        found[f"typical of {n}"] = Chosen(patterns, normaliser, part)
     return found
 
 

@@ -19,7 +19,7 @@ from starting import start
 from tyro.conf import Positional
 
 import deepfracture as df
-from deepfracture.breakers import make_source, recall
+from deepfracture.breakers import make_source, open_patterns
 from deepfracture.carve import cut
 from deepfracture.dataset import Dataset
 from deepfracture.evaluate import evaluate, write_report
@@ -67,9 +67,11 @@ def train_your_own(
     unseen = df.simulate(body, out / "held", collisions=held, repeats=2, seed=seed + OTHER, **chosen)
     model = df.train(data, out / "run", minutes=minutes, seed=seed)
 
-    memory = recall(body, out / "data")
+    patterns = open_patterns(body, out / "data")
     stuff, grid = df.material(material), df.Grid(resolution)
-    sources = {name: make_source(name, body, stuff, grid, memory=memory) for name in ("nearest", "random", "voronoi")}
+    sources = {
+        name: make_source(name, body, stuff, grid, patterns=patterns) for name in ("nearest", "random", "voronoi")
+    }
     sources["learned"] = make_source("learned", body, stuff, grid, model=model)
     found = write_report(evaluate(unseen, sources, draws=2, seed=seed), out / "evaluation")
     log.info("%d patterns to learn from\n%s", len(data), score_table(found))

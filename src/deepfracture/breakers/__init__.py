@@ -10,12 +10,15 @@ from deepfracture.runtime.lazy import lazy_names
 if TYPE_CHECKING:
     from deepfracture.breakers.base import PatternBreaker as PatternBreaker
     from deepfracture.breakers.base import PatternSource as PatternSource
-    from deepfracture.breakers.choose import make_breaker as make_breaker
-    from deepfracture.breakers.choose import make_source as make_source
-    from deepfracture.breakers.choose import recall as recall
-    from deepfracture.breakers.choose import ways as ways
+    from deepfracture.breakers.registry import ablations as ablations
+    from deepfracture.breakers.registry import make_breaker as make_breaker
+    from deepfracture.breakers.registry import make_source as make_source
+    from deepfracture.breakers.registry import open_patterns as open_patterns
 
 __getattr__, __dir__ = lazy_names(
     __name__,
-    {"base": ("PatternBreaker", "PatternSource"), "choose": ("make_breaker", "make_source", "recall", "ways")},
+    {
+        "base": ("PatternBreaker", "PatternSource"),
+        "registry": ("make_breaker", "make_source", "open_patterns", "ablations"),
+    },
 )

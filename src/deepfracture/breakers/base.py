@@ -1,4 +1,4 @@
-"""What all breakers share: the paper's criterion before, the cut of the original mesh after."""
+"""Shared by all breakers: the paper's fracture criterion, then a pattern, then the cut of the original mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepfracture.types import FracturePattern, Fragments, Impact, Material, Sha
 
 
 class PatternSource(Protocol):
-    """Says how a shape comes apart under an impact that passed the criterion; None if it holds."""
+    """The fracture pattern of a shape under an impact that meets the criterion; None if it holds."""
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None: ...
 
@@ -43,4 +43,4 @@ class PatternBreaker:
         if self.max_faces is not None:
             with stage("coarsen"):
                 fragments = decimated(fragments, self.max_faces)
-        return fragments if len(fragments) > 1 else None  # what the pattern parts may be dust to the mesh
+        return fragments if len(fragments) > 1 else None  # fragments of the pattern may be small components of the mesh

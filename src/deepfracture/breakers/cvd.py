@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture.breakers.inside import Inside
-from deepfracture.breakers.recalled import Memory
+from deepfracture.breakers.inside import InsideMask
+from deepfracture.breakers.stored_patterns import StoredPatterns
 from deepfracture.breakers.voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
 from deepfracture.carve import voronoi_pattern
 from deepfracture.fracture.simulate import SMALLEST_CELLS
@@ -33,8 +33,8 @@ class CentroidalVoronoi:
     grid: Grid
 
     @cached_property
-    def _inside(self) -> Inside:
-        return Inside(self.grid)
+    def _inside(self) -> InsideMask:
+        return InsideMask(self.grid)
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         inside, points = self._inside(shape), self._inside.points(shape)
@@ -55,14 +55,14 @@ class CentroidalVoronoi:
         return replace(pattern, labels=merge_small_components(pattern.labels, smallest))
 
 
-def fitted_count(memory: Memory) -> Callable[[Shape, Impact], float]:
+def fitted_count(patterns: StoredPatterns) -> Callable[[Shape, Impact], float]:
     """The mean number of fragments as a power of the strongest impulse, fitted to simulated patterns.
 
     Least squares of the logarithms, scaled to the mean of the counts themselves (Duan 1983): the mean of the
     logarithms alone is that of fewer fragments."""
-    impulses = np.log([impact.magnitude[0] for impact in memory.impacts])
-    slope, start = _line(impulses, np.log(memory.counts))
-    start += float(np.log(memory.counts.mean() / np.exp(start + slope * impulses).mean()))
+    impulses = np.log([impact.magnitude[0] for impact in patterns.impacts])
+    slope, start = _line(impulses, np.log(patterns.counts))
+    start += float(np.log(patterns.counts.mean() / np.exp(start + slope * impulses).mean()))
     return lambda shape, impact: float(np.exp(start + slope * np.log(impact.magnitude[0])))
 
 

@@ -1,4 +1,4 @@
-"""Which voxels lie in a shape, computed once for one that is hit again and again."""
+"""The voxels inside a shape, cached for a shape that is hit repeatedly."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ THINNEST = 0.02
 """Mean thickness [voxels] below which hardly a voxel centre lies in a body, so that no pattern can be drawn on them."""
 
 
-class Inside:
-    """Remembers the shape that it saw last, and no other: fragments that break again come by the hundred."""
+class InsideMask:
+    """Keeps the mask of the last shape only: fragments that break again come by the hundred."""
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfracture.breakers.recalled import Memory
-from deepfracture.breakers.restrict import on_whole, restricted
+from deepfracture.breakers.refracture import impact_on_whole, pattern_on_fragment
+from deepfracture.breakers.stored_patterns import StoredPatterns
 from deepfracture.carve import segment
 from deepfracture.runtime.progress import log, stage
 from deepfracture.types import FracturePattern, Impact, Shape, Volume
@@ -39,7 +39,7 @@ class Learned:
         if shape.whole is not None:
             if impact.magnitude[0] < self.weakest_impulse:
                 return None
-            impact = on_whole(impact, shape)
+            impact = impact_on_whole(impact, shape)
         found = self.predictions(impact, rng)
         for attempt in range(ATTEMPTS):
             with stage("predict"):
@@ -50,7 +50,7 @@ class Learned:
                 pattern = segment(volume)
             if shape.whole is not None and pattern.count > 1:
                 with stage("restrict"):
-                    pattern = restricted(pattern, shape)
+                    pattern = pattern_on_fragment(pattern, shape)
             if pattern.count > 1:
                 return pattern
             tell = log.warning if shape.whole is None else log.info
@@ -62,13 +62,13 @@ class Learned:
 class SelectedPattern:
     """The model's selection of a code without its network: the training pattern of the code.
 
-    Measures the selection by itself; the model must have been trained on the patterns of `memory`."""
+    Measures the selection by itself; the model must have been trained on `patterns`."""
 
     model: PartitionModel
-    memory: Memory
+    patterns: StoredPatterns
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("choose"):
             impulses = self.model.normaliser(impact).astype(np.float32)
             random = rng.standard_normal(self.model.config.segment_size, np.float32)
-            return self.memory.pattern(int(self.model.selector(impulses, random)[0]))
+            return self.patterns.pattern(int(self.model.selector(impulses, random)[0]))

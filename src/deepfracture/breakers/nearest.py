@@ -1,4 +1,4 @@
-"""What a codebook with nearest-neighbour look-up is secretly worth: recall the closest training pattern."""
+"""The nearest-neighbour baseline: the training pattern with the closest impulse."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.breakers.recalled import Memory
+from deepfracture.breakers.stored_patterns import StoredPatterns
 from deepfracture.learn import normalise_impact
 from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Impact, Shape
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestPattern:
     """The simulated pattern whose strongest impulse, normalised as for the network, is closest."""
 
-    memory: Memory
+    patterns: StoredPatterns
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("nearest"):
-            wanted = normalise_impact(impact, self.memory.dataset.max_impulse)
-            return self.memory.pattern(int(((self.memory.rows - wanted) ** 2).sum(axis=1).argmin()))
+            wanted = normalise_impact(impact, self.patterns.dataset.max_impulse)
+            return self.patterns.pattern(int(((self.patterns.rows - wanted) ** 2).sum(axis=1).argmin()))

@@ -31,7 +31,7 @@ class Physical:
         return cracking.pattern if cracking else None
 
     def body(self, shape: Shape) -> FractureBody:
-        """A whole shape made ready to be hit: seconds at the first call, nothing at the next."""
+        """A whole shape prepared for impacts: seconds at the first call, cached afterwards."""
         if shape not in self._bodies:
             with stage("prepare body"):
                 self._bodies[shape] = prepare_body(shape, self.material, self.grid)

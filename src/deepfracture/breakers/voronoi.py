@@ -1,4 +1,4 @@
-"""The industry's baseline: Voronoi cells, denser near the hit and more of them for stronger hits."""
+"""The industry baseline: Voronoi cells, denser near the hit, and more of them for stronger hits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from deepfracture.breakers.inside import Inside
+from deepfracture.breakers.inside import InsideMask
 from deepfracture.carve import voronoi_pattern
 from deepfracture.fracture import critical_stress
 from deepfracture.runtime.progress import stage
@@ -27,8 +27,8 @@ class Voronoi:
     grid: Grid
 
     @cached_property
-    def _inside(self) -> Inside:
-        return Inside(self.grid)
+    def _inside(self) -> InsideMask:
+        return InsideMask(self.grid)
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         inside, points = self._inside(shape), self._inside.points(shape)

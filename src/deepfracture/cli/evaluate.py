@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from deepfracture.breakers import PatternSource, make_source, recall, ways
+from deepfracture.breakers import PatternSource, ablations, make_source, open_patterns
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.evaluate import evaluate as run
 from deepfracture.evaluate import refuse_overlap, write_report
@@ -38,21 +38,21 @@ def _sources(
     """Sources by their names in the tables."""
     if not len(held):
         raise BadInput(f"{held.path}: no collision broke the shape; simulate faster balls, with --repeats 4")
-    memory = None
+    patterns = None
     if dataset is not None:
-        memory = recall(held.shape, dataset)
-        refuse_overlap(held, memory.dataset)
-        memory.load()  # what is read later would count as the time of a prediction
+        patterns = open_patterns(held.shape, dataset)
+        refuse_overlap(held, patterns.dataset)
+        patterns.load()  # what is read later would count as the time of a prediction
     shape, material, grid = held.shape, held.material, Grid(held.settings.resolution)
     models = _models(model)
     names = [*breakers, *(name for name, _ in models)]
     for name in names:
         if names.count(name) > 1:
             raise BadInput(f"{name}: given twice; name models with --model NAME=FILE")
-    sources = {name: make_source(name, shape, material, grid, memory=memory) for name in breakers}
+    sources = {name: make_source(name, shape, material, grid, patterns=patterns) for name in breakers}
     for number, (name, path) in enumerate(models):
         dissected = ablation and number == 0
-        parts = ways(shape, material, path, memory if dissected else None)
+        parts = ablations(shape, material, path, patterns if dissected else None)
         for part, source in parts.items() if dissected else [("", parts[""])]:
             sources[f"{name}, {part}" if part else name] = source
     return sources

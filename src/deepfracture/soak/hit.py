@@ -15,9 +15,9 @@ import numpy as np
 
 from deepfracture.breakers import PatternBreaker, make_source
 from deepfracture.breakers.base import PatternSource
-from deepfracture.breakers.choose import recall
 from deepfracture.breakers.physical import Physical
-from deepfracture.breakers.restrict import piece_grid
+from deepfracture.breakers.refracture import fragment_grid
+from deepfracture.breakers.registry import open_patterns
 from deepfracture.fracture import MATERIALS, FractureBody
 from deepfracture.geometry import load_shape
 from deepfracture.geometry.rotations import rotation_matrix
@@ -89,9 +89,9 @@ class Shop:
 
         def make() -> PatternSource:
             data = data_of(one.shape, self.settings) if one.breaker in RECALLING else None
-            memory = None if data is None else self._memories.get(data, lambda: recall(shape, data))
+            patterns = None if data is None else self._memories.get(data, lambda: open_patterns(shape, data))
             model = model_of(one.shape, self.settings) if one.breaker == "learned" else None
-            return make_source(one.breaker, shape, made_of, grid, model=model, memory=memory)
+            return make_source(one.breaker, shape, made_of, grid, model=model, patterns=patterns)
 
         kept = self._known if one.breaker == "learned" or one.breaker in RECALLING else self._light
         return PatternBreaker(kept.get((one.shape, one.breaker, material), make), made_of)
@@ -195,7 +195,7 @@ def _fragments(watched: Watched, resolution: int) -> dict[str, Any]:
     error, count = 0.0, 0
     for shape, fragments in watched.answers:
         whole = Grid(resolution)
-        voxel = whole.spacing if shape.whole is None else piece_grid(shape, whole).spacing
+        voxel = whole.spacing if shape.whole is None else fragment_grid(shape, whole).spacing
         report = check_fragments(shape, fragments, voxel=voxel)
         failures.update(report.failures)
         error, count = max(error, abs(report.volume_error)), count + len(fragments)

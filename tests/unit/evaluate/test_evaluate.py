@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfracture.breakers import PatternSource, make_source, recall
+from deepfracture.breakers import PatternSource, make_source, open_patterns
 from deepfracture.breakers.cvd import CentroidalVoronoi, fitted_count, spread
 from deepfracture.carve import voronoi_pattern
 from deepfracture.cli import main
@@ -93,8 +93,8 @@ def train(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def sources(train: Dataset) -> dict[str, PatternSource]:
-    memory = recall(BAR, train.path)
-    recalled = {name: make_source(name, BAR, PLASTER, GRID, memory=memory) for name in ("nearest", "random")}
+    patterns = open_patterns(BAR, train.path)
+    recalled = {name: make_source(name, BAR, PLASTER, GRID, patterns=patterns) for name in ("nearest", "random")}
     return {**recalled, "chaos": chaos, "holds": holds}
 
 
@@ -311,7 +311,7 @@ def test_centroidal_sites_crowd_around_the_hit() -> None:
 
 
 def test_the_centroidal_count_follows_the_training_data(train: Dataset) -> None:
-    source = make_source("cvd", BAR, PLASTER, GRID, memory=recall(BAR, train.path))
+    source = make_source("cvd", BAR, PLASTER, GRID, patterns=open_patterns(BAR, train.path))
     assert isinstance(source, CentroidalVoronoi)
     counts = [sample.pattern.count for sample in train]
     fitted = [source.count(BAR, impact) for impact in train.impacts()]

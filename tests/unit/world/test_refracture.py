@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepfracture.breakers.learned import Learned
-from deepfracture.breakers.restrict import on_whole, restricted
+from deepfracture.breakers.refracture import impact_on_whole, pattern_on_fragment
 from deepfracture.carve import encode
 from deepfracture.fracture import Pieces, critical_stress, material, prepare_piece, similar
 from deepfracture.fracture.contact import contacts
@@ -124,7 +124,7 @@ def _slabs(*cuts: float) -> tuple[FracturePattern, np.ndarray]:
 def test_a_piece_takes_what_a_pattern_of_the_whole_does_within_it() -> None:
     """Planes across the beam: one within the corner (0.5 to 1), one not."""
     pattern, _ = _slabs(-0.3, 0.613)
-    own = restricted(pattern, PIECE)
+    own = pattern_on_fragment(pattern, PIECE)
     assert own.grid.resolution == 32  # voxels no larger than the whole's
     assert own.count == 2
     x = own.grid.centres()[..., 0] * PIECE.size + 0.75
@@ -140,7 +140,7 @@ def _blow(strength: float) -> Impact:
 
 def test_a_blow_on_a_piece_is_one_on_the_whole_at_the_same_place() -> None:
     own = impact_to_fragment(_blow(40.0), PIECE)
-    there = on_whole(own, PIECE)
+    there = impact_on_whole(own, PIECE)
     np.testing.assert_allclose(there.position, _blow(40.0).position)
     assert there.magnitude[0] == pytest.approx(own.magnitude[0])  # as strong as it is for the piece
 

@@ -1,4 +1,4 @@
-"""Simulated patterns at hand, and the least that knowledge of a shape gives: any one of them, whatever hit it."""
+"""The simulated patterns of a data set, and the weakest baseline: any of them, whatever the impact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deepfracture.types import Floats, FracturePattern, Grid, Impact, Shape
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
+class StoredPatterns:
     """The patterns of a data set: each read from disk once and kept, packed without loss (0.5 MB at r = 64)."""
 
     dataset: Dataset
@@ -41,7 +41,7 @@ class Memory:
         return FracturePattern(grid, unpacked.astype(np.int32), distance.astype(np.float32))
 
     def load(self) -> None:
-        """Read everything now, so that no later call waits for the disk."""
+        """Read all patterns, so that no later call waits for the disk."""
         for index in track(range(len(self.dataset)), name="recall"):
             self.pattern(index)
 
@@ -57,11 +57,11 @@ def _pack(pattern: FracturePattern) -> tuple[bytes, NDArray[np.float16]]:
 
 
 @dataclass(frozen=True)
-class Random:
-    """Any simulated pattern, each as likely as the next."""
+class RandomPattern:
+    """Any simulated pattern, with equal probability."""
 
-    memory: Memory
+    patterns: StoredPatterns
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         with stage("recall"):
-            return self.memory.pattern(int(rng.integers(len(self.memory.dataset))))
+            return self.patterns.pattern(int(rng.integers(len(self.patterns.dataset))))

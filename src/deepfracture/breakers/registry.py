@@ -13,7 +13,7 @@ from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Breaker, Grid, Material, Shape
 
 if TYPE_CHECKING:
-    from deepfracture.breakers.recalled import Memory
+    from deepfracture.breakers.stored_patterns import StoredPatterns
     from deepfracture.learn import Model
 
 
@@ -23,15 +23,21 @@ def make_breaker(name: str, shape: Shape, material: Material, options: BreakerOp
     Raises `BadInput` when the name is unknown, or when no trained model or data set exists for the shape."""
     options = options or BreakerOptions()
     model = None if options.model is None else Path(options.model)
-    memory = None if options.dataset is None else recall(shape, Path(options.dataset))
-    source = make_source(name, shape, material, Grid(options.resolution), model=model, memory=memory)
+    patterns = None if options.dataset is None else open_patterns(shape, Path(options.dataset))
+    source = make_source(name, shape, material, Grid(options.resolution), model=model, patterns=patterns)
     return PatternBreaker(source, material, options.roughness, options.max_faces)
 
 
 def make_source(
-    name: str, shape: Shape, material: Material, grid: Grid, *, model: Path | None = None, memory: Memory | None = None
+    name: str,
+    shape: Shape,
+    material: Material,
+    grid: Grid,
+    *,
+    model: Path | None = None,
+    patterns: StoredPatterns | None = None,
 ) -> PatternSource:
-    """What is inside `make_breaker`: only the pattern, without criterion and cut."""
+    """The pattern source of `make_breaker`, without criterion and cut."""
     if name == "physical":
         from deepfracture.breakers.physical import Physical
 
@@ -47,17 +53,17 @@ def make_source(
         from deepfracture.breakers.voronoi import count_by_stress
 
         by_stress = partial(count_by_stress, material=material)
-        return CentroidalVoronoi(by_stress if memory is None else fitted_count(memory), grid)
+        return CentroidalVoronoi(by_stress if patterns is None else fitted_count(patterns), grid)
     if name in ("nearest", "random"):
-        from deepfracture.breakers.nearest import Nearest
-        from deepfracture.breakers.recalled import Random
+        from deepfracture.breakers.nearest import NearestPattern
+        from deepfracture.breakers.stored_patterns import RandomPattern
 
-        if memory is None:
+        if patterns is None:
             raise BadInput(
-                f"{shape.name}: --breaker {name} recalls simulated patterns, name them with --dataset; "
-                f"make some: deepfracture simulate {shape.name} --out data"
+                f"{shape.name}: --breaker {name} reuses simulated patterns; name them with --dataset, "
+                f"made by: deepfracture simulate {shape.name} --out data"
             )
-        return Nearest(memory) if name == "nearest" else Random(memory)
+        return NearestPattern(patterns) if name == "nearest" else RandomPattern(patterns)
     raise BadInput(f"breaker {name!r}: unknown; choose one of {', '.join(BREAKERS)}{did_you_mean(name, BREAKERS)}")
 
 
@@ -70,14 +76,16 @@ def _learned(shape: Shape, material: Material, path: Path | None) -> PatternSour
             f"{shape.name}: no trained model for this shape; try --breaker physical, or train one: deepfracture "
             "simulate SHAPE --out data && deepfracture train data --out run, then use --model run/model.safetensors"
         )
-    return next(iter(ways(shape, material, path).values()))
+    return next(iter(ablations(shape, material, path).values()))
 
 
-def ways(shape: Shape, material: Material, path: Path, memory: Memory | None = None) -> dict[str, PatternSource]:
+def ablations(
+    shape: Shape, material: Material, path: Path, patterns: StoredPatterns | None = None
+) -> dict[str, PatternSource]:
     """The model in the file `path` as a source, by the name "", and without one or another of its parts.
 
     Args:
-        memory: The training patterns, for the selection of a code without the network.
+        patterns: The training patterns, for the selection of a code without the network.
 
     Raises:
         BadInput: There is no model in the file, or it is of another shape."""
@@ -91,10 +99,10 @@ def ways(shape: Shape, material: Material, path: Path, memory: Memory | None = N
         name: Learned(partial(model.predictions, inference=inference), model.weakest_impulse)
         for name, inference in settings.items()
     }
-    if memory is not None and isinstance(model, PartitionModel):
-        if len(model.codebook) != len(memory.dataset):
-            raise BadInput(f"{path}: trained on {len(model.codebook)} patterns, {memory.dataset.path} holds others")
-        sources["no network"] = SelectedPattern(model, memory)
+    if patterns is not None and isinstance(model, PartitionModel):
+        if len(model.codebook) != len(patterns.dataset):
+            raise BadInput(f"{path}: trained on {len(model.codebook)} patterns, {patterns.dataset.path} holds others")
+        sources["no network"] = SelectedPattern(model, patterns)
     return sources
 
 
@@ -107,16 +115,16 @@ def _check(model: Model, shape: Shape, material: Material, path: Path) -> None:
         log.warning("%s: trained on %s, so the result is for %s, not for %s", path, trained, trained, material.name)
 
 
-def recall(shape: Shape, path: Path) -> Memory:
-    """The simulated patterns of `shape` in the folder `path`, to be read when they are needed.
+def open_patterns(shape: Shape, path: Path) -> StoredPatterns:
+    """The simulated patterns of `shape` in the folder `path`, read on demand.
 
     Raises `BadInput` when there are none, or they are of another shape."""
-    from deepfracture.breakers.recalled import Memory
+    from deepfracture.breakers.stored_patterns import StoredPatterns
     from deepfracture.dataset import open_dataset
 
     dataset = open_dataset(path)
     if len(dataset) == 0:
-        raise BadInput(f"{path}: no pattern in this data set yet; run deepfracture simulate again to go on with it")
+        raise BadInput(f"{path}: no pattern in this data set yet; rerun deepfracture simulate to resume it")
     if dataset.shape.mesh.volume != shape.mesh.volume:
         raise BadInput(f"{path}: made for another shape ({dataset.shape.name}), not for {shape.name}")
-    return Memory(dataset)
+    return StoredPatterns(dataset)

@@ -1,4 +1,4 @@
-"""What is known of a whole shape, for a fragment of it: impacts there, patterns back."""
+"""Patterns of a whole shape for its fragments: impacts are mapped to the whole, patterns back to the fragment."""
 
 from __future__ import annotations
 
@@ -12,48 +12,48 @@ from deepfracture.types import RESOLUTIONS, Floats, FracturePattern, Grid, Impac
 from deepfracture.voxels import connected_labels
 
 
-def piece_grid(piece: Shape, whole: Grid) -> Grid:
+def fragment_grid(piece: Shape, whole: Grid) -> Grid:
     """A grid around a fragment whose voxels are no larger than those of the whole, unless there is none finer."""
     return Grid(next(r for r in RESOLUTIONS if r >= min(whole.resolution * piece.size, RESOLUTIONS[-1])))
 
 
-def on_whole(impact: Impact, piece: Shape) -> Impact:
+def impact_on_whole(impact: Impact, piece: Shape) -> Impact:
     """An impact in a fragment's own frame, at the same place of the whole.
 
     Its impulses and radius stay those of the fragment's frame, where stress and speed are as in a whole of
     the same size."""
-    return replace(impact, position=impact.position * piece.size + _middle(piece))
+    return replace(impact, position=impact.position * piece.size + _centre_in_whole(piece))
 
 
-def restricted(pattern: FracturePattern, piece: Shape) -> FracturePattern:
-    """How a pattern of the whole would part a fragment of it, on a grid of the fragment's own.
+def pattern_on_fragment(pattern: FracturePattern, piece: Shape) -> FracturePattern:
+    """A pattern of the whole restricted to a fragment, on the fragment's own grid.
 
-    Between voxel centres a label counts with its distances, weighted by how near they are, and the one that
-    counts most wins: then cracks cross the edges of the whole's grid where `FracturePattern.distance` has
-    them. Distances are those to where two labels count the same, in the fragment's units.
+    Each label's distance is interpolated trilinearly between voxel centres and the largest wins, so that cracks cross
+    the edges of the whole's grid where `FracturePattern.distance` puts them. The new distance is the lead of the
+    largest over the second, in the fragment's units.
 
     Args:
         pattern: On the grid of the whole.
         piece: A fragment in its own frame (`world.refracture.fragment_as_shape`).
     """
-    grid = piece_grid(piece, pattern.grid)
+    grid = fragment_grid(piece, pattern.grid)
     voxels = np.argwhere(voxels_inside(piece.mesh, grid))
-    places = pattern.grid.to_index(grid.to_world(voxels) * piece.size + _middle(piece))
-    own, lead = _between(pattern.labels, pattern.distance, places)
+    places = pattern.grid.to_index(grid.to_world(voxels) * piece.size + _centre_in_whole(piece))
+    own, lead = _interpolate(pattern.labels, pattern.distance, places)
     labels, distance = np.zeros(grid.shape, np.int32), np.zeros(grid.shape, np.float32)
     labels[tuple(voxels.T)], distance[tuple(voxels.T)] = own, lead / piece.size
     return FracturePattern(grid, connected_labels(labels), distance)
 
 
-def _middle(piece: Shape) -> Floats:
+def _centre_in_whole(piece: Shape) -> Floats:
     """Centre of a piece's box in the frame of the whole."""
     assert piece.whole is not None
     return (piece.centre - piece.whole.centre) / piece.whole.scale
 
 
 @njit(cache=True)
-def _between(labels, distance, places):
-    """Label that counts most at each fractional index, shape (n,), and by how much, shape (n,).
+def _interpolate(labels, distance, places):
+    """Label with the largest interpolated distance at each fractional index, shape (n,), and its lead, shape (n,).
 
     Where no voxel around is inside the whole (fragments reach half a voxel out of it), the nearest one counts."""
     r = labels.shape[0]
@@ -85,7 +85,7 @@ def _between(labels, distance, places):
             if weight[n] > weight[best]:
                 best = n
         if count == 0:
-            own[p], lead[p] = _nearest(labels, distance, places[p])
+            own[p], lead[p] = _nearest_label(labels, distance, places[p])
             continue
         second = 0.0
         for n in range(count):
@@ -96,7 +96,7 @@ def _between(labels, distance, places):
 
 
 @njit(cache=True)
-def _nearest(labels, distance, place):
+def _nearest_label(labels, distance, place):
     """Label and distance of the voxel inside that is nearest to a fractional index."""
     r = labels.shape[0]
     middle = np.empty(3, np.int64)
