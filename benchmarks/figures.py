@@ -80,13 +80,13 @@ def blow(shape: Shape, impulse: float = IMPULSE) -> Impact:
 
 def physical(shape: Shape, resolution: int, view: tuple[int, int]) -> Any:
     """Stress over strength without a crack, the fragments, their distance field, and what is cut of it."""
-    from deepfracture.fracture.simulate import _load
+    from deepfracture.fracture.simulate import _initial_state
     from deepfracture.fracture.variation import Variation
 
     impact, material = blow(shape), df.material(MATERIAL)
     body = prepare_body(shape, material, Grid(resolution))
     variation = Variation.draw(material, body.coarse, np.random.default_rng(0))
-    state = _load(body, impact, variation, contact=True)
+    state = _initial_state(body, impact, variation, contact=True)
     for _ in range(LOAD_STEPS):
         state.advance(state.load.rise / LOAD_STEPS)
     share = np.full(body.coarse.shape, np.nan)

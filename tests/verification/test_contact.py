@@ -20,9 +20,9 @@ def test_hertz_scaling_laws() -> None:
     glass = material("glass")
     plain = hertz(10.0, 2.0, 0.1, glass)
     # m and v enter as m^(2/5) v^(-1/5); with m = I / v as I^(2/5) v^(-3/5).
-    assert hertz(320.0, 2.0, 0.1, glass).time == pytest.approx(4 * plain.time)
-    assert hertz(10.0, 64.0, 0.1, glass).time == pytest.approx(plain.time / 8)
-    assert hertz(10.0, 2.0, 3.2, glass).time == pytest.approx(plain.time / 2)
+    assert hertz(320.0, 2.0, 0.1, glass).duration == pytest.approx(4 * plain.duration)
+    assert hertz(10.0, 64.0, 0.1, glass).duration == pytest.approx(plain.duration / 8)
+    assert hertz(10.0, 2.0, 3.2, glass).duration == pytest.approx(plain.duration / 2)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])

@@ -13,7 +13,7 @@ from deepfracture.breakers.inside import InsideMask
 from deepfracture.breakers.stored_patterns import StoredPatterns
 from deepfracture.breakers.voronoi import CELLS_AT_THRESHOLD, MOST_CELLS, NEAR
 from deepfracture.carve import voronoi_pattern
-from deepfracture.fracture.simulate import SMALLEST_CELLS
+from deepfracture.fracture.simulate import MIN_FRAGMENT_VOXELS
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Floats, FracturePattern, Grid, Impact, Shape
 from deepfracture.voxels import merge_small_components
@@ -51,7 +51,7 @@ class CentroidalVoronoi:
     def _cells(self, sites: Floats, inside: NDArray[np.bool_]) -> FracturePattern:
         """Voronoi cells; what the voxels part from them as dust joins a neighbour, as in the simulator."""
         pattern = voronoi_pattern(sites, inside, self.grid)
-        smallest = min(SMALLEST_CELLS, round(SMALLEST_CELLS * (self.grid.resolution / 64) ** 3))
+        smallest = min(MIN_FRAGMENT_VOXELS, round(MIN_FRAGMENT_VOXELS * (self.grid.resolution / 64) ** 3))
         return replace(pattern, labels=merge_small_components(pattern.labels, smallest))
 
 

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from deepfracture.fracture import FractureBody, Pieces, prepare_body, simulate
+from deepfracture.fracture import FractureBody, FragmentSimulator, prepare_body, simulate
 from deepfracture.runtime.progress import stage
 from deepfracture.types import FracturePattern, Grid, Impact, Material, Shape
 
@@ -21,8 +21,8 @@ class Physical:
     _bodies: dict[Shape, FractureBody] = field(default_factory=dict)
 
     @cached_property
-    def _pieces(self) -> Pieces:
-        return Pieces(self.material, self.grid)
+    def _pieces(self) -> FragmentSimulator:
+        return FragmentSimulator(self.material, self.grid)
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> FracturePattern | None:
         if shape.whole is not None:

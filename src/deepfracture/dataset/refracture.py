@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepfracture.carve import cut
-from deepfracture.fracture import Pieces
+from deepfracture.fracture import FragmentSimulator
 from deepfracture.geometry import closest, signed_distance_points
 from deepfracture.types import FracturePattern, Fragment, Fragments, Impact, Material, Mesh, Shape
 from deepfracture.world import Outcome, Scene
@@ -26,7 +26,7 @@ class _Breaker:
     """Breaks the whole into given fragments, and simulates the fracture of those."""
 
     first: Fragments
-    pieces: Pieces
+    pieces: FragmentSimulator
 
     def __call__(self, shape: Shape, impact: Impact, rng: np.random.Generator) -> Fragments | None:
         if shape.whole is None:
@@ -51,7 +51,7 @@ def refracture(
         return pattern
     arrival = max(ball.delay + np.linalg.norm(ball.position) / np.linalg.norm(ball.velocity) for ball in scene.balls)
     scene = replace(scene, refracture=generations, duration=float(arrival) + frames / scene.frame_rate)
-    breaker = _Breaker(first, Pieces(material, pattern.grid))
+    breaker = _Breaker(first, FragmentSimulator(material, pattern.grid))
     outcome = run_world(scene, [shape], breaker, rng, materials={material.name: material})
     if not any(collision.generation for collision in outcome.breaks):
         return pattern

@@ -1,23 +1,23 @@
-"""Brittle fracture: elastostatics by boundary elements, contact, and cracks that grow."""
+"""Brittle fracture: Hertz contact, elastostatics by boundary elements, crack growth, fragments."""
 
 from deepfracture.fracture.body import FractureBody, prepare_body
 from deepfracture.fracture.contact import breaks, critical_stress
 from deepfracture.fracture.materials import MATERIALS, material
 from deepfracture.fracture.mechanisms import Mechanisms
-from deepfracture.fracture.similar import Pieces, prepare_piece, similar
-from deepfracture.fracture.simulate import Cracking, simulate
+from deepfracture.fracture.similarity import FragmentSimulator, prepare_fragment, rescale_material
+from deepfracture.fracture.simulate import FractureResult, simulate
 
 __all__ = [
     "MATERIALS",
-    "Cracking",
     "FractureBody",
+    "FractureResult",
+    "FragmentSimulator",
     "Mechanisms",
-    "Pieces",
     "breaks",
     "critical_stress",
     "material",
     "prepare_body",
-    "prepare_piece",
-    "similar",
+    "prepare_fragment",
+    "rescale_material",
     "simulate",
 ]

@@ -1,4 +1,4 @@
-"""What is worked out once for a shape and serves every collision."""
+"""A shape prepared for fracture: everything that does not depend on the collision."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from deepfracture.fracture.cache import distances, elastic_body
+from deepfracture.fracture.cache import cached_distances, cached_elastic_body
 from deepfracture.fracture.elastostatics import ElasticBody
-from deepfracture.fracture.lattice import Lattice
+from deepfracture.fracture.padded_grid import PaddedGrid
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Material, Shape
 
 ELEMENTS = 1500
-"""Boundary elements of a body, about."""
+"""Approximate number of boundary elements of a body."""
 STRESS_CELLS = 40
-"""Cells of the coarse lattice along an axis: its cosine transforms are quick at this size."""
-SKIN = 0.25
-"""Stress is evaluated no nearer to the surface than this share of a coarse cell."""
-SHELL = 4.0
-"""Distances on the fine lattice are cut off this many voxels outside: cracks run less than two past the surface."""
+"""Cells of the coarse grid along an axis; cosine transforms are fast at this size."""
+CLEARANCE = 0.25
+"""Least distance to the surface at which stress is evaluated [coarse cells]."""
+OUTER_BAND = 4.0
+"""Distances are truncated this far outside [fine voxels]: cracks run less than two past the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +33,18 @@ class FractureBody:
     elastic: ElasticBody
     area: float
     """Surface area [m^2]."""
-    fine: Lattice
-    coarse: Lattice
+    fine: PaddedGrid
+    coarse: PaddedGrid
     sdf: Floats32
-    """Distance to the surface on the fine lattice, positive inside, at least -`SHELL` voxels [m]."""
-    nodes: Floats
-    """Coarse centres at which stress is known [m], shape (n, 3)."""
+    """Signed distance to the surface on the fine grid, positive inside, at least -`OUTER_BAND` voxels [m]."""
     cells: Ints
-    """Their cells on the coarse lattice, shape (n, 3)."""
-    node_of: Ints
-    """For each coarse cell the index into `nodes` of the nearest one, shape (m, m, m)."""
-    wall: Floats32
-    """Local wall thickness on the coarse lattice [m], shape (m, m, m)."""
+    """Coarse cells in which stress is evaluated, shape (n, 3)."""
+    centres: Floats
+    """Their centres [m], shape (n, 3)."""
+    nearest_cell: Ints
+    """Index into `cells` of the cell nearest to each cell of the coarse grid, shape (m, m, m)."""
+    thickness: Floats32
+    """Local wall thickness on the coarse grid [m], shape (m, m, m)."""
 
 
 @njit(cache=True)
@@ -69,25 +69,29 @@ def _local_thickness(sdf, spacing):
 
 
 def prepare_body(
-    shape: Shape, material: Material, grid: Grid, *, elements: int = ELEMENTS, keep: bool = True
+    shape: Shape, material: Material, grid: Grid, *, elements: int = ELEMENTS, cache: bool = True
 ) -> FractureBody:
-    """Everything about `shape` that no collision changes; patterns will live on `grid`.
+    """Prepare `shape` for collisions; patterns are on `grid`.
 
-    Unless `keep`, nothing of it is kept on disk. Raises BadInput if the shape is too thin for the stresses' lattice, or
-    for boundary elements."""
-    fine = Lattice.fine(grid)
+    Args:
+        elements: Approximate number of boundary elements.
+        cache: Store the factorised system and the distances on disk, and read them from there.
+
+    Raises:
+        BadInput: The shape is too thin for the coarse grid or for the boundary elements."""
+    fine = PaddedGrid.fine(grid)
     coarse = fine.coarsened(STRESS_CELLS)
-    rough = distances(shape.mesh, coarse, outside=np.inf, keep=keep)
-    known = rough > SKIN * coarse.spacing
-    if not known.any():
+    rough = cached_distances(shape.mesh, coarse, outside=np.inf, cache=cache)
+    inside = rough > CLEARANCE * coarse.spacing
+    if not inside.any():
         raise BadInput(
             f"{shape.name}: thinner than a cell of {coarse.spacing:.3g} m everywhere (it is two metres long), so "
-            "that no stress can be computed in it; make it thicker, or use another breaker"
+            "no stress can be computed in it; make it thicker, or use another breaker"
         )
-    elastic = elastic_body(shape.mesh, material.poisson, elements, keep=keep)
-    sdf = distances(shape.mesh, fine, outside=SHELL * fine.spacing, keep=keep)
-    number = np.cumsum(known.ravel()).reshape(known.shape) - 1
-    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+    elastic = cached_elastic_body(shape.mesh, material.poisson, elements, cache=cache)
+    sdf = cached_distances(shape.mesh, fine, outside=OUTER_BAND * fine.spacing, cache=cache)
+    number = np.cumsum(inside.ravel()).reshape(inside.shape) - 1
+    nearest = np.asarray(distance_transform_edt(~inside, return_distances=False, return_indices=True))
     return FractureBody(
         shape=shape,
         material=material,
@@ -97,8 +101,8 @@ def prepare_body(
         fine=fine,
         coarse=coarse,
         sdf=sdf,
-        nodes=coarse.centres()[known],
-        cells=np.argwhere(known),
-        node_of=number[tuple(nearest)],
-        wall=np.maximum(_local_thickness(rough, coarse.spacing), coarse.spacing).astype(np.float32),
+        cells=np.argwhere(inside),
+        centres=coarse.centres()[inside],
+        nearest_cell=number[tuple(nearest)],
+        thickness=np.maximum(_local_thickness(rough, coarse.spacing), coarse.spacing).astype(np.float32),
     )

@@ -25,23 +25,23 @@ STEEL_YOUNG = 210e9
 STEEL_POISSON = 0.3
 BOUNDARY_ELEMENTS = 1500
 """Elements of the uniform boundary mesh whose element is the paper's smallest contact area A_1."""
-PATCH_FLOOR = 2 * 3**-0.75
-"""Least patch radius in square roots of the local triangle area: the circumradius of an equilateral
+MIN_PATCH = 2 * 3**-0.75
+"""Smallest patch radius in square roots of the local triangle area: the circumradius of an equilateral
 triangle. A smaller patch is spread over one element, below which the mesh cannot resolve it."""
 SUBDIVISION = 8
 """Sub-triangles along an edge on which the pressure is sampled."""
 
 
 @dataclass(frozen=True)
-class Contact:
+class HertzContact:
     """One Hertz impact."""
 
-    time: float
+    duration: float
     """Duration [s]."""
     radius: float
     """Radius of the contact patch at the largest force [m]."""
     force: float
-    """Mean force I / time [N]."""
+    """Mean force I / duration [N]."""
 
 
 def effective_modulus(material: Material) -> float:
@@ -50,18 +50,18 @@ def effective_modulus(material: Material) -> float:
     return 1 / (body + (1 - STEEL_POISSON**2) / STEEL_YOUNG)
 
 
-def hertz(impulse: float, speed: float, radius: float, material: Material) -> Contact:
+def hertz(impulse: float, speed: float, radius: float, material: Material) -> HertzContact:
     """The contact of a steel ball of `radius` [m] that loses `impulse` [N s] at closing `speed` [m/s]."""
     if not (impulse > 0 and speed > 0 and radius > 0):
         raise BadInput(f"impulse, speed and radius must be positive, got {impulse}, {speed} and {radius}")
     modulus = effective_modulus(material)
     mass = impulse / speed
-    time = 2.868 * (mass**2 / (modulus**2 * radius * speed)) ** 0.2
+    duration = 2.868 * (mass**2 / (modulus**2 * radius * speed)) ** 0.2
     compression = (15 * mass * speed**2 / (16 * modulus * radius**0.5)) ** 0.4
-    return Contact(time, (radius * compression) ** 0.5, impulse / time)
+    return HertzContact(duration, (radius * compression) ** 0.5, impulse / duration)
 
 
-def contacts(impact: Impact, material: Material) -> tuple[Contact, ...]:
+def contacts(impact: Impact, material: Material) -> tuple[HertzContact, ...]:
     """The Hertz contact of each impulse, strongest first; all at the closing speed of the strongest."""
     return tuple(hertz(float(i), impact.speed, impact.radius, material) for i in impact.magnitude)
 
@@ -75,9 +75,9 @@ def tractions(impact: Impact, material: Material, mesh: Mesh) -> Floats:
     areas = np.linalg.norm(mesh.area_vectors, axis=1)
     total = np.zeros((len(mesh.faces), 3))
     for index, contact in enumerate(contacts(impact, material)):
-        share = _shares(mesh, impact.position[index], impact.normal[index], contact.radius)
+        fractions = _force_fractions(mesh, impact.position[index], impact.normal[index], contact.radius)
         force = contact.force * impact.direction[index]
-        total += (share / areas)[:, None] * force
+        total += (fractions / areas)[:, None] * force
     return total
 
 
@@ -106,8 +106,8 @@ def breaks(impact: Impact, material: Material, surface_area: float) -> bool:
     return critical_stress(impact, material, surface_area) > material.strength
 
 
-def _shares(mesh: Mesh, position: Floats, normal: Floats, radius: float) -> Floats:
-    """Share of the force that each triangle takes, shape (nt,), adding up to one."""
+def _force_fractions(mesh: Mesh, position: Floats, normal: Floats, radius: float) -> Floats:
+    """Fraction of the force on each triangle, shape (nt,); they add up to one."""
     area_vectors = mesh.area_vectors
     facing = np.flatnonzero(area_vectors @ normal > 0)
     if not len(facing):
@@ -115,7 +115,7 @@ def _shares(mesh: Mesh, position: Floats, normal: Floats, radius: float) -> Floa
     near = closest(Mesh(mesh.vertices, mesh.faces[facing]), position[None])
     centre, nearest = near.points[0], facing[int(near.faces[0])]
     areas = np.linalg.norm(area_vectors, axis=1)
-    radius = max(radius, PATCH_FLOOR * float(areas[nearest]) ** 0.5)
+    radius = max(radius, MIN_PATCH * float(areas[nearest]) ** 0.5)
     weights = _barycentric_samples(SUBDIVISION)
     corners = mesh.triangles[facing]
     reachable = np.linalg.norm(corners - centre, axis=2).min(axis=1) < radius + _longest_edge(corners)
@@ -123,11 +123,11 @@ def _shares(mesh: Mesh, position: Floats, normal: Floats, radius: float) -> Floa
     samples = np.einsum("sa,nai->nsi", weights, corners)
     fraction2 = ((samples - centre) ** 2).sum(axis=2) / radius**2
     pressure = np.sqrt(np.maximum(0.0, 1 - fraction2)).mean(axis=1)  # Hertz: p ~ sqrt(1 - (r/a)^2)
-    share = np.zeros(len(mesh.faces))
-    share[facing] = pressure * areas[facing]
-    if not share.any():  # a patch between the samples of large, uneven triangles
-        share[nearest] = 1.0
-    return share / share.sum()
+    fractions = np.zeros(len(mesh.faces))
+    fractions[facing] = pressure * areas[facing]
+    if not fractions.any():  # a patch between the samples of large, uneven triangles
+        fractions[nearest] = 1.0
+    return fractions / fractions.sum()
 
 
 def _longest_edge(corners: Floats) -> Floats:
@@ -137,6 +137,6 @@ def _longest_edge(corners: Floats) -> Floats:
 def _barycentric_samples(count: int) -> Floats:
     """Centres of the count^2 sub-triangles of a triangle in barycentric coordinates, (count^2, 3)."""
     upright = [(i + 1 / 3, j + 1 / 3) for i in range(count) for j in range(count - i)]
-    turned = [(i + 2 / 3, j + 2 / 3) for i in range(count - 1) for j in range(count - 1 - i)]
-    first = np.array(upright + turned) / count
+    inverted = [(i + 2 / 3, j + 2 / 3) for i in range(count - 1) for j in range(count - 1 - i)]
+    first = np.array(upright + inverted) / count
     return np.column_stack([first, 1 - first.sum(axis=1)])

@@ -1,4 +1,4 @@
-"""What takes part in a fracture, for those who want to see what one mechanism does."""
+"""Switches of the fracture mechanisms, for ablation studies."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Mechanisms:
-    """All mechanics; the models for looks belong to the material (roughness, spread and length of its variation)."""
+    """Mechanisms of the simulation; the models of appearance (roughness, variation) belong to the material."""
 
     release: bool = True
-    """Cracks let go of the stress across them, release waves run, and what still holds takes the load over
+    """Cracks relieve the stress across them, release waves propagate, and the load shifts to the intact material
     (Bueckner 1958; Mott 1947)."""
     contact: bool = True
-    """Faces of a crack that are pressed together carry the pressure; without friction. Needs `release`."""
+    """Crack faces pressed together carry pressure, without friction. Needs `release`."""
     mouth: bool = True
-    """The tension at a crack's mouth drives it through the wall although the far side is pressed (Tada 2.13)."""
+    """The tension at a crack's mouth drives it through the wall although the far side is compressed (Tada 2.13)."""

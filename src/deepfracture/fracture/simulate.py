@@ -1,10 +1,10 @@
 """Brittle fracture of a body by one collision.
 
-Boundary elements give the stress of the uncracked body, which follows the load as it comes and goes. Places that
-reach their strength start cracks; cracks change the stress (finite elements, by small steps in time), other places
-take the load over, and so on until the bodies part and nothing exceeds its strength. Strong loads bring many
-places to the limit before a release wave has come by, and therefore break a body into more and smaller pieces
-(Mott 1947; Grady 2006), without a rule that says so.
+Boundary elements give the stress of the uncracked body, in proportion to the load. Cracks start where the stress
+reaches the local strength; they change the stress (finite elements, in small time steps), the load shifts elsewhere,
+and so on until the bodies separate and the strength is exceeded nowhere. Strong loads reach the strength in many places
+before a release wave arrives, and therefore break a body into more and smaller fragments (Mott 1947; Grady 2006),
+without an explicit rule.
 """
 
 from __future__ import annotations
@@ -15,58 +15,58 @@ import numpy as np
 
 from deepfracture.fracture.body import FractureBody
 from deepfracture.fracture.contact import breaks, contacts, tractions
-from deepfracture.fracture.cracked import CrackedSolid
+from deepfracture.fracture.cracked_solid import CrackedSolid
 from deepfracture.fracture.cracks import Cracks
 from deepfracture.fracture.elastostatics import solve
+from deepfracture.fracture.fragments import label_fragments
 from deepfracture.fracture.interior import stress_at
-from deepfracture.fracture.lattice import MARGIN
 from deepfracture.fracture.mechanisms import Mechanisms
-from deepfracture.fracture.separate import fragments_of
-from deepfracture.fracture.stress import Load, StressState
+from deepfracture.fracture.padded_grid import MARGIN
+from deepfracture.fracture.stress import LoadPulse, StressState
 from deepfracture.fracture.variation import Variation
 from deepfracture.geometry import distance_to_samples
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Floats, FracturePattern, Impact
 
-SMALLEST_CELLS = 64
-"""Pieces of fewer voxels, a cube of four, are dust and join a neighbour."""
+MIN_FRAGMENT_VOXELS = 64
+"""Components of fewer voxels, a cube of side four, are merged into a neighbour."""
 
 
 @dataclass(frozen=True, eq=False)
-class Cracking:
-    """How a simulated collision went: the pattern and the cracks that made it."""
+class FractureResult:
+    """Result of a simulated collision: the pattern and the cracks that formed it."""
 
     pattern: FracturePattern
     cracks: int
-    """Cracks that opened."""
+    """Number of cracks."""
     tension: float
     """Greatest driving stress over local strength at peak load."""
 
 
 def simulate(
     body: FractureBody, impact: Impact, rng: np.random.Generator, *, mechanisms: Mechanisms | None = None
-) -> Cracking | None:
-    """Break `body` by `impact`; None if the paper's criterion is not met or nothing comes apart.
+) -> FractureResult | None:
+    """Break `body` by `impact`; None if the paper's criterion is not met or the body stays in one piece.
 
     `rng` draws the material's variation in space: the same generator state gives the same fragments. `mechanisms`
-    turns parts of the mechanics off (default: none)."""
+    switches parts of the mechanics off (default: none)."""
     if not breaks(impact, body.material, body.area):
         return None
     mechanisms = mechanisms or Mechanisms()
     variation = Variation.draw(body.material, body.coarse, rng)
     with stage("elastostatics"):
-        state = _load(body, impact, variation, contact=mechanisms.contact)
+        state = _initial_state(body, impact, variation, contact=mechanisms.contact)
     with stage("cracks"):
         cracks = Cracks.on(body, state, variation, rng, mechanisms)
         cracks.run()
     with stage("fragments"):
-        pattern = _pattern(body, cracks.front.cut, cracks.faces)
-    return Cracking(pattern, cracks.count, cracks.tension) if pattern.count > 1 else None
+        pattern = _pattern(body, cracks.march.cut, cracks.faces)
+    return FractureResult(pattern, cracks.count, cracks.tension) if pattern.count > 1 else None
 
 
-def _load(body: FractureBody, impact: Impact, variation: Variation, *, contact: bool) -> StressState:
-    """The uncracked body under the collision, before anything has happened."""
-    rise = contacts(impact, body.material)[0].time / 2
+def _initial_state(body: FractureBody, impact: Impact, variation: Variation, *, contact: bool) -> StressState:
+    """The uncracked body at first contact."""
+    rise = contacts(impact, body.material)[0].duration / 2
     solution = solve(body.elastic, tractions(impact, body.material, body.elastic.mesh))
     material, inside = body.material, np.zeros(body.coarse.shape, bool)
     inside[tuple(body.cells.T)] = True
@@ -75,19 +75,19 @@ def _load(body: FractureBody, impact: Impact, variation: Variation, *, contact: 
         density=material.density, contact=contact,
     )  # fmt: skip
     strength = material.strength * variation.strength[tuple(body.cells.T)].astype(float)
-    return StressState(body, Load(rise), strength, stress_at(solution, body.nodes), solid)
+    return StressState(body, LoadPulse(rise), strength, stress_at(solution, body.centres), solid)
 
 
 def _pattern(body: FractureBody, cut: np.ndarray, faces: Floats) -> FracturePattern:
-    """Labels on the grid, and the distance to those faces that really part two fragments."""
-    labels = fragments_of(body.sdf > 0, cut, SMALLEST_CELLS)
+    """Labels on the grid, and the distance to the cut faces that separate two fragments."""
+    labels = label_fragments(body.sdf > 0, cut, MIN_FRAGMENT_VOXELS)
     index = faces[:, :3].astype(int)
     axis = faces[:, 3].astype(int)
     beyond = index + np.eye(3, dtype=int)[axis]
-    parted = labels[tuple(index.T)] != labels[tuple(beyond.T)]
-    parted &= (labels[tuple(index.T)] > 0) & (labels[tuple(beyond.T)] > 0)
-    where = index[parted] + np.eye(3)[axis[parted]] * faces[parted, 4, None]
+    separates = labels[tuple(index.T)] != labels[tuple(beyond.T)]
+    separates &= (labels[tuple(index.T)] > 0) & (labels[tuple(beyond.T)] > 0)
+    where = index[separates] + np.eye(3)[axis[separates]] * faces[separates, 4, None]
     points = body.fine.first_centre + body.fine.spacing * where
     inner = (slice(MARGIN, -MARGIN),) * 3
-    distance = distance_to_samples(body.grid, points, faces[parted, 5:])
+    distance = distance_to_samples(body.grid, points, faces[separates, 5:])
     return FracturePattern(body.grid, labels[inner], distance)

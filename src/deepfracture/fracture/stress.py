@@ -1,4 +1,4 @@
-"""The stress that cracks feel, as the load of a collision comes and goes and the cracks let go of it."""
+"""The stress that drives cracks, while the load of a collision rises and falls and open cracks relieve it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numba import njit
 from scipy.spatial import KDTree
 
 from deepfracture.fracture.body import FractureBody
-from deepfracture.fracture.cracked import CrackedSolid
+from deepfracture.fracture.cracked_solid import CrackedSolid
 from deepfracture.types import Floats, Floats32
 
-SWEEPS = 12
-"""Rounds of Jacobi's rotations; five reach double precision."""
+MAX_SWEEPS = 12
+"""Most sweeps of Jacobi rotations; five reach double precision."""
 
 
 @njit(cache=True)
 def principal(stress):
-    """Principal stresses (n, 3), rising, and the direction of the greatest, (n, 3), of stresses (n, 6): xx, yy, zz,
-    yz, xz, xy. Jacobi's rotations: many small matrices, each in registers."""
+    """Principal stresses (n, 3), ascending, and the direction of the greatest, (n, 3), of stresses (n, 6): xx, yy, zz,
+    yz, xz, xy. By Jacobi rotations (Jacobi 1846): many small matrices, each in registers."""
     values, directions = np.empty((len(stress), 3)), np.empty((len(stress), 3))
     a, v = np.empty((3, 3)), np.empty((3, 3))
     for q in range(len(stress)):
@@ -27,7 +27,7 @@ def principal(stress):
             for j in range(3):
                 a[i, j] = stress[q, i] if i == j else stress[q, 6 - i - j]
                 v[i, j] = 1.0 if i == j else 0.0
-        for _ in range(SWEEPS):
+        for _ in range(MAX_SWEEPS):
             off = abs(a[0, 1]) + abs(a[0, 2]) + abs(a[1, 2])
             if off <= 1e-14 * (abs(a[0, 0]) + abs(a[1, 1]) + abs(a[2, 2])):
                 break
@@ -60,28 +60,28 @@ def principal(stress):
 
 
 @dataclass(frozen=True)
-class Load:
-    """How the contact force comes and goes: linearly to its peak and back, a triangle for Hertz's bell."""
+class LoadPulse:
+    """The contact force over time: linear to its peak and back, a triangle in place of Hertz's bell."""
 
     rise: float
     """Time from first contact to peak load [s]."""
 
     @property
     def end(self) -> float:
-        """When the bodies part [s]."""
+        """When the bodies separate [s]."""
         return 2 * self.rise
 
-    def share(self, time: float) -> float:
-        """Of the peak load, in [0, 1]."""
+    def factor(self, time: float) -> float:
+        """Load over peak load, in [0, 1]."""
         return max(0.0, 1 - abs(time / self.rise - 1))
 
 
 @dataclass(eq=False)
 class StressState:
-    """Driving stress at the nodes of the coarse lattice, and which of them start a crack."""
+    """Driving stress in the cells of the coarse grid, and in which of them a crack starts."""
 
     body: FractureBody
-    load: Load
+    load: LoadPulse
     strength: Floats
     """Local tensile strength [Pa], shape (n,)."""
     elastic: Floats
@@ -90,59 +90,59 @@ class StressState:
     time: float = 0.0
     """[s] since first contact"""
     stress: Floats = field(init=False)
-    """Driving stress now: sigma plus what compression adds [Pa], shape (n, 6): xx, yy, zz, yz, xz, xy."""
+    """Current driving stress: sigma plus the contribution of compression [Pa], shape (n, 6): xx, yy, zz, yz, xz, xy."""
     tension: Floats = field(init=False)
     """Greatest principal value of `stress` [Pa], shape (n,)."""
     direction: Floats = field(init=False)
     """Its direction, shape (n, 3)."""
-    clarity: Floats = field(init=False)
-    """How far it exceeds the next one, in [0, 1], shape (n,)."""
+    principal_gap: Floats = field(init=False)
+    """Difference to the second principal stress over `tension`, in [0, 1], shape (n,)."""
     onset: Floats = field(init=False)
-    """When a crack starts here, in the last step [s], inf: it does not, shape (n,)."""
-    taken: np.ndarray = field(init=False)
-    """Nodes so near to a crack that none may start there, shape (n,)."""
+    """Time in the last step at which a crack starts [s], inf if none does, shape (n,)."""
+    excluded: np.ndarray = field(init=False)
+    """Cells too near to a crack for another to start, shape (n,)."""
 
     def __post_init__(self) -> None:
         n = len(self.strength)
         self.tension, self.onset = np.zeros(n), np.full(n, np.inf)
-        self.taken = np.zeros(n, bool)
-        self._refresh()
+        self.excluded = np.zeros(n, bool)
+        self._update()
 
     def advance(self, step: float) -> None:
-        """Let `step` seconds pass: the load changes, cracks that have opened let go, waves run."""
-        before, since = self.tension / self.strength, self.time
+        """Advance by `step` seconds: the load changes, open cracks relieve the stress, waves propagate."""
+        before, start = self.tension / self.strength, self.time
         self.time += step
-        self.solid.advance(self.load.share(self.time) * self.elastic, step)
-        self._refresh()
+        self.solid.advance(self.load.factor(self.time) * self.elastic, step)
+        self._update()
         after = self.tension / self.strength
-        passed = (1 - before) / np.maximum(after - before, 1e-9)  # share of the step in which the limit is reached
-        self.onset = np.where((after >= 1) & ~self.taken, since + step * np.clip(passed, 0, 1), np.inf)
+        fraction = (1 - before) / np.maximum(after - before, 1e-9)  # of the step, when the strength is reached
+        self.onset = np.where((after >= 1) & ~self.excluded, start + step * np.clip(fraction, 0, 1), np.inf)
 
-    def _refresh(self) -> None:
+    def _update(self) -> None:
         """Principal values of the driving stress.
 
         Compression drives wing cracks along its direction: in the Coulomb-Mohr criterion
         sigma_1 / S_t - sigma_3 / S_c >= 1, so -sigma_3 / compressive_factor acts like a tension."""
-        self.stress = self.load.share(self.time) * self.elastic + self.solid.stress()
+        self.stress = self.load.factor(self.time) * self.elastic + self.solid.stress()
         values, self.direction = principal(self.stress)
-        push = np.maximum(-values[:, 0], 0) / self.body.material.compressive_factor
-        self.stress[:, :3] += push[:, None]
-        self.tension = values[:, 2] + push
+        compression = np.maximum(-values[:, 0], 0) / self.body.material.compressive_factor
+        self.stress[:, :3] += compression[:, None]
+        self.tension = values[:, 2] + compression
         top = np.maximum(self.tension, 1e-9)
-        self.clarity = np.clip((values[:, 2] - values[:, 1]) / top, 0, 1)
+        self.principal_gap = np.clip((values[:, 2] - values[:, 1]) / top, 0, 1)
 
-    def field(self, values: Floats) -> Floats32:
-        """Node values (n, ...) on the whole coarse lattice, continued outside by the nearest node."""
-        return values[self.body.node_of].astype(np.float32)
+    def on_grid(self, values: Floats) -> Floats32:
+        """Cell values (n, ...) on the whole coarse grid, extrapolated by the nearest cell."""
+        return values[self.body.nearest_cell].astype(np.float32)
 
     def at_peak(self) -> Floats32:
-        """Driving stress as it will be at peak load if nothing else cracks, shape (6, m, m, m)."""
-        share = self.load.share(self.time) if self.time < self.load.rise else 1.0
-        return np.ascontiguousarray(np.moveaxis(self.field(self.stress / share), -1, 0))
+        """Driving stress extrapolated to peak load [Pa], if nothing else cracks, shape (6, m, m, m)."""
+        factor = self.load.factor(self.time) if self.time < self.load.rise else 1.0
+        return np.ascontiguousarray(np.moveaxis(self.on_grid(self.stress / factor), -1, 0))
 
-    def crowd(self, points: Floats, closest: float) -> None:
-        """No crack starts nearer than `closest` [m] to `points` (k, 3) any more."""
-        distance, _ = KDTree(points).query(self.body.nodes, distance_upper_bound=closest)
+    def exclude_near(self, points: Floats, radius: float) -> None:
+        """Let no crack start within `radius` [m] of `points` (k, 3)."""
+        distance, _ = KDTree(points).query(self.body.centres, distance_upper_bound=radius)
         near = np.isfinite(distance)
-        self.taken |= near
+        self.excluded |= near
         self.onset[near] = np.inf

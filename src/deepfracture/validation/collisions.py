@@ -36,7 +36,7 @@ def hertz_motion() -> Report:
 
     leaves.terminal, leaves.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
     contact = hertz(impulse, speed, radius, stone)
-    end = 3 * contact.time
+    end = 3 * contact.duration
     run = solve_ivp(motion, (0, end), [0, speed], events=leaves, rtol=1e-9, atol=1e-14, max_step=end / 3000)
     force = stiffness * np.maximum(run.y[0], 0) ** 1.5
     peak = stiffness * (contact.radius**2 / radius) ** 1.5
@@ -48,13 +48,13 @@ def hertz_motion() -> Report:
         "force [kN]",
         (
             Curve("equation of motion", 1e3 * run.t, force / 1e3, "-"),
-            Curve("peak, closed form", [1e3 * contact.time / 2], [peak / 1e3], "D"),
-            Curve("end, closed form", [1e3 * contact.time], [0.0], "s"),
+            Curve("peak, closed form", [1e3 * contact.duration / 2], [peak / 1e3], "D"),
+            Curve("end, closed form", [1e3 * contact.duration], [0.0], "s"),
         ),
     )
     return Report(
         (
-            Finding.relative("Hertz contact time [s]", run.t[-1], contact.time, limit=1e-3, n=steps),
+            Finding.relative("Hertz contact time [s]", run.t[-1], contact.duration, limit=1e-3, n=steps),
             Finding.relative("Hertz peak force [N]", force.max(), peak, limit=1e-3, n=steps),
         ),
         (plot,),

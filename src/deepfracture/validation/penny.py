@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.fracture.cracked import CrackedSolid
+from deepfracture.fracture.cracked_solid import CrackedSolid
 from deepfracture.types import Floats
 from deepfracture.validation.report import Curve, Finding, Plot, Report
 
@@ -62,7 +62,7 @@ def penny(radius: float, half: int, remote: Floats) -> Penny:
     below = np.flatnonzero((solid.cells[:, 2] == half - 1) & (np.hypot(away[:, 0], away[:, 1]) < radius))
     beyond = solid.index[tuple((solid.cells[below] + [0, 0, 1]).T)]
     faces = np.column_stack([below, beyond, np.full(len(below), 2)]).astype(np.int64)
-    solid.part(faces, np.tile([0.0, 0, 1], (len(faces), 1)))
+    solid.open_faces(faces, np.tile([0.0, 0, 1], (len(faces), 1)))
     field = np.tile(remote, (len(solid.cells), 1))
     solid.advance(field, np.inf)  # to the simulator's own tolerance; a hundredth of it moves K by 0.2 %
     return Penny(solid, remote, middle, float(np.sqrt(len(faces) / np.pi)))

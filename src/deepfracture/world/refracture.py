@@ -2,7 +2,7 @@
 
 A fragment lives in the body frame of the whole that it comes from, whatever its generation. To break, it gets a frame
 of its own, in which it is two metres long; the breaker is called there, with an impact scaled by dynamic similarity
-(same material, speed and stress; see `fracture.similar` for toughness and lengths). The result is scaled back, so
+(same material, speed and stress; see `fracture.similarity` for toughness and lengths). The result is scaled back, so
 fragments, masses and impulses of the world always have their true size.
 """
 

@@ -46,4 +46,4 @@ def test_the_simulator_refuses_what_is_thinner_than_its_cells_before_it_is_hit()
     bar = builtin("bar").mesh
     sheet = Shape("sheet", Mesh(bar.vertices * [1, 1, 1e-5], bar.faces))
     with pytest.raises(BadInput, match="sheet: thinner than a cell"):
-        prepare_body(sheet, material("plaster"), Grid(32), elements=500, keep=False)
+        prepare_body(sheet, material("plaster"), Grid(32), elements=500, cache=False)

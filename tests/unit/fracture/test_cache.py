@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from deepfracture.fracture import FractureBody, material, prepare_body
-from deepfracture.fracture.body import SHELL
-from deepfracture.fracture.cache import KEPT, cache_folder, distances
-from deepfracture.fracture.lattice import Lattice
+from deepfracture.fracture.body import OUTER_BAND
+from deepfracture.fracture.cache import MAX_FILES, cache_folder, cached_distances
+from deepfracture.fracture.padded_grid import PaddedGrid
 from deepfracture.geometry import load_shape, signed_distance_lattice
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import Grid
@@ -53,10 +53,10 @@ def test_damaged_files_are_made_anew(kept: Path, caplog: pytest.LogCaptureFixtur
 
 
 def test_other_lattices_and_limits_are_kept_apart(kept: Path) -> None:
-    mesh, fine = load_shape("bar").mesh, Lattice.fine(Grid(32))
-    near = distances(mesh, fine, outside=0.1)
-    far = distances(mesh, fine, outside=np.inf)
-    coarse = distances(mesh, fine.coarsened(20), outside=0.1)
+    mesh, fine = load_shape("bar").mesh, PaddedGrid.fine(Grid(32))
+    near = cached_distances(mesh, fine, outside=0.1)
+    far = cached_distances(mesh, fine, outside=np.inf)
+    coarse = cached_distances(mesh, fine.coarsened(20), outside=0.1)
     assert near.min() == np.float32(-0.1) > far.min()
     assert coarse.shape == (20, 20, 20)
     assert len(list(kept.glob("*.distances"))) == 3
@@ -66,15 +66,15 @@ def test_distances_are_exact_where_cracks_run() -> None:
     made, _ = body()
     fine = made.fine
     exact = signed_distance_lattice(made.shape.mesh, np.full(3, fine.first_centre), fine.spacing, fine.shape)
-    assert (made.sdf == np.maximum(exact, np.float32(-SHELL * fine.spacing))).all()
+    assert (made.sdf == np.maximum(exact, np.float32(-OUTER_BAND * fine.spacing))).all()
 
 
 def test_the_least_used_files_make_room(kept: Path) -> None:
     mesh = load_shape("bar").mesh
-    for n in range(KEPT + 2):
-        distances(mesh, Lattice(8 + n, 0.3, -1.2), outside=0.1)
+    for n in range(MAX_FILES + 2):
+        cached_distances(mesh, PaddedGrid(8 + n, 0.3, -1.2), outside=0.1)
         for age, path in enumerate(sorted(kept.glob("*.distances"), key=lambda p: p.stat().st_mtime_ns, reverse=True)):
             os.utime(path, (1000 - age, 1000 - age))
-    assert len(list(kept.glob("*.distances"))) == KEPT
-    distances(mesh, Lattice(8 + KEPT + 1, 0.3, -1.2), outside=0.1)
-    assert len(list(kept.glob("*.distances"))) == KEPT
+    assert len(list(kept.glob("*.distances"))) == MAX_FILES
+    cached_distances(mesh, PaddedGrid(8 + MAX_FILES + 1, 0.3, -1.2), outside=0.1)
+    assert len(list(kept.glob("*.distances"))) == MAX_FILES

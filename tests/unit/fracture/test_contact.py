@@ -52,10 +52,10 @@ def test_gate_is_the_papers_formula() -> None:
     impact = _impact(50.0)
     contact = contacts(impact, STONE)[0]
     wide, small = 12.0, 0.01
-    assert critical_stress(impact, STONE, wide) == pytest.approx(50.0 / (wide / 1500 * contact.time))
+    assert critical_stress(impact, STONE, wide) == pytest.approx(50.0 / (wide / 1500 * contact.duration))
     patch = np.pi * contact.radius**2
     assert element_area(small) < patch
-    assert critical_stress(impact, STONE, small) == pytest.approx(50.0 / (patch * contact.time))
+    assert critical_stress(impact, STONE, small) == pytest.approx(50.0 / (patch * contact.duration))
 
 
 def test_gate_counts_only_what_presses() -> None:

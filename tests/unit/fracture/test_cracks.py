@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from deepfracture.fracture import Mechanisms, material, prepare_body, simulate
-from deepfracture.fracture.lattice import Lattice
-from deepfracture.fracture.separate import fragments_of
+from deepfracture.fracture.fragments import label_fragments
+from deepfracture.fracture.padded_grid import PaddedGrid
 from deepfracture.fracture.variation import random_field
 from deepfracture.geometry import builtin
 from deepfracture.types import Grid, Impact
@@ -104,10 +104,10 @@ def test_flooding_stops_at_cut_faces_only() -> None:
     inside[1:7, 1:7, 1:7] = True
     cut = np.zeros(inside.shape, np.uint8)
     cut[3, 1:7, 1:7] = 1
-    labels = fragments_of(inside, cut, 1)
+    labels = label_fragments(inside, cut, 1)
     assert sorted(np.bincount(labels.ravel())[1:]) == [108, 108]
     cut[3, 3, 3] = 0  # one face holds: both sides are still one piece
-    assert fragments_of(inside, cut, 1).max() == 1
+    assert label_fragments(inside, cut, 1).max() == 1
 
 
 def test_dust_joins_the_neighbour_it_touches_most() -> None:
@@ -127,7 +127,7 @@ def test_dust_that_touches_nothing_joins_the_nearest_piece() -> None:
 
 
 def test_random_fields_have_unit_variance_and_the_length_asked_for() -> None:
-    lattice = Lattice(40, 0.05, -1.0)
+    lattice = PaddedGrid(40, 0.05, -1.0)
     fields = [random_field(lattice, 0.2, np.random.default_rng(seed)) for seed in range(8)]
     correlation = [float(np.mean(f * np.roll(f, 4, axis=0))) for f in fields]  # at a distance of 0.2
     assert np.std(fields[0]) == pytest.approx(1, abs=1e-3)
@@ -152,15 +152,15 @@ def test_each_mechanism_can_be_turned_off_and_does_something(bar, name: str) -> 
     assert any(a.pattern.labels.tobytes() != b.pattern.labels.tobytes() for a, b in zip(whole, without, strict=True))
 
 
-def test_what_is_severed_on_the_fine_lattice_is_severed_in_the_elements() -> None:
-    """Cells of the coarse lattice that still hang together lie in one fragment."""
+def test_what_is_severed_on_the_fine_grid_is_severed_in_the_elements() -> None:
+    """Cells of the coarse grid that still hang together lie in one fragment."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    from deepfracture.fracture.cracked import CrackedSolid
-    from deepfracture.fracture.growth import Crack, Front
-    from deepfracture.fracture.openings import Openings
-    from deepfracture.fracture.separate import open_faces
+    from deepfracture.fracture.cracked_solid import CrackedSolid
+    from deepfracture.fracture.fragments import cut_faces
+    from deepfracture.fracture.growth import Crack, MarchState
+    from deepfracture.fracture.pending_faces import PendingFaces
 
     body = prepare_body(builtin("bar"), PLASTER, Grid(64))
     normal = np.array([0.8, 0.6, 0.0])
@@ -168,18 +168,23 @@ def test_what_is_severed_on_the_fine_lattice_is_severed_in_the_elements() -> Non
     offset = (fine.centres() - [0.11, 0.02, 0.0]) @ normal
     voxels = np.argwhere((np.abs(offset) < 1.5 * fine.spacing) & (body.sdf > -fine.spacing))
     crack = Crack(voxels, offset[tuple(voxels.T)], np.tile(normal, (len(voxels), 1)), np.full(len(voxels), 1e-4))
-    front, position = Front.on(fine), np.zeros(fine.shape, np.int32)
-    front.status[tuple(voxels.T)] = 1
-    open_faces(crack, front, position)
+    march, position = MarchState.on(fine), np.zeros(fine.shape, np.int32)
+    march.status[tuple(voxels.T)] = 1
+    cut_faces(crack, march, position)
     inside = np.zeros(body.coarse.shape, bool)
     inside[tuple(body.cells.T)] = True
     solid = CrackedSolid.on(inside, spacing=body.coarse.spacing, young=1.0, poisson=0.2, density=1.0)
-    openings = Openings.none(solid).add(body, crack, front, position)
-    assert len(openings) and openings.normals @ normal == pytest.approx(1)
-    assert not len(openings.release(solid, 0.5e-4).release(solid, 1e-4))
-    links = coo_array((np.ones(solid.corner.size), (np.repeat(np.arange(len(solid.corner)), 8), solid.corner.ravel())))
+    pending = PendingFaces.none(solid).add(body, crack, march, position)
+    assert len(pending) and pending.normals @ normal == pytest.approx(1)
+    assert not len(pending.open_due(solid, 0.5e-4).open_due(solid, 1e-4))
+    links = coo_array(
+        (
+            np.ones(solid.connectivity.size),
+            (np.repeat(np.arange(len(solid.connectivity)), 8), solid.connectivity.ravel()),
+        )
+    )
     count, piece = connected_components(links @ links.T, directed=False)
     assert count == 2
-    away = np.abs((body.nodes - [0.11, 0.02, 0.0]) @ normal) > fine.spacing
-    beyond = (body.nodes - [0.11, 0.02, 0.0]) @ normal > 0
+    away = np.abs((body.centres - [0.11, 0.02, 0.0]) @ normal) > fine.spacing
+    beyond = (body.centres - [0.11, 0.02, 0.0]) @ normal > 0
     assert len(np.unique(piece[away & beyond])) == len(np.unique(piece[away & ~beyond])) == 1

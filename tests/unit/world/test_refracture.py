@@ -12,9 +12,9 @@ import pytest
 from deepfracture.breakers.learned import Learned
 from deepfracture.breakers.refracture import impact_on_whole, pattern_on_fragment
 from deepfracture.carve import encode
-from deepfracture.fracture import Pieces, critical_stress, material, prepare_piece, similar
+from deepfracture.fracture import FragmentSimulator, critical_stress, material, prepare_fragment, rescale_material
 from deepfracture.fracture.contact import contacts
-from deepfracture.fracture.similar import KEPT
+from deepfracture.fracture.similarity import MAX_PREPARED
 from deepfracture.geometry import mass_properties
 from deepfracture.types import FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape, Volume
 from deepfracture.world.refracture import fragment_as_shape, fragments_to_whole, impact_to_fragment
@@ -92,7 +92,7 @@ def test_scaled_impacts_keep_stress_and_scale_time() -> None:
 
 def test_similar_materials_keep_the_strength_and_griffiths_ratio() -> None:
     s = 0.25
-    own = similar(PLASTER, s)
+    own = rescale_material(PLASTER, s)
     assert (own.strength, own.young, own.density, own.poisson) == (
         PLASTER.strength, PLASTER.young, PLASTER.density, PLASTER.poisson,
     )  # fmt: skip
@@ -104,10 +104,10 @@ def test_similar_materials_keep_the_strength_and_griffiths_ratio() -> None:
 
 def test_a_piece_is_prepared_coarsely_and_not_kept(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    body = prepare_piece(PIECE, PLASTER, Grid(128))
+    body = prepare_fragment(PIECE, PLASTER, Grid(128))
     assert body.grid.resolution == 32  # 128 voxels over the whole are 32 over a quarter of it
     assert 300 < len(body.elastic.mesh.faces) < 800
-    assert body.material == similar(PLASTER, PIECE.size)
+    assert body.material == rescale_material(PLASTER, PIECE.size)
     assert not list(tmp_path.rglob("*"))
 
 
@@ -170,7 +170,7 @@ def test_a_model_of_the_whole_breaks_a_piece_within_bounds() -> None:
 
 def test_a_fragment_is_not_taken_for_another_that_is_gone() -> None:
     """Prepared fragments are known by their identity, so they must outlive it; but not for ever."""
-    pieces = Pieces(PLASTER, Grid(32))
+    pieces = FragmentSimulator(PLASTER, Grid(32))
     blow = Impact(
         np.array([[1.0, 0, 0]]),
         np.array([[-1.0, 0, 0]]),
@@ -180,7 +180,7 @@ def test_a_fragment_is_not_taken_for_another_that_is_gone() -> None:
         radius=0.1,
     )
     seen = []
-    for number in range(2 * KEPT):
+    for number in range(2 * MAX_PREPARED):
         thin = fragment_as_shape(
             _fragment(_box((0.5, 0, 0), (1.0, 0.1, 1e-5 * (1 + number)))), f"sliver {number}", WHOLE
         )
@@ -189,4 +189,4 @@ def test_a_fragment_is_not_taken_for_another_that_is_gone() -> None:
         del thin
         gc.collect()
         assert seen[-1]() is not None
-    assert sum(left() is not None for left in seen) == KEPT
+    assert sum(left() is not None for left in seen) == MAX_PREPARED

@@ -1,4 +1,4 @@
-"""Which faces of the coarse cells a crack on the fine lattice opens, and when."""
+"""The faces of the coarse cells that a crack on the fine grid opens, and when its front passes them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 from numba import njit
 
 from deepfracture.fracture.body import FractureBody
-from deepfracture.fracture.cracked import CrackedSolid
-from deepfracture.fracture.growth import Crack, Front
+from deepfracture.fracture.cracked_solid import CrackedSolid
+from deepfracture.fracture.growth import Crack, MarchState
 from deepfracture.types import Floats, Ints
 
 
 @njit(cache=True)
-def _crossed(cells, index, known, middle, cut, status, position, arrival, normals):
-    """Faces of coarse cells that the fine cuts of the current crack cross on the straight way between centres."""
+def _crossed(cells, index, known, middle, march, position, crack):
+    """Faces of coarse cells for which a face cut by the current crack lies on the straight line between the centres."""
     found = []
     for q in range(len(cells)):
         for axis in range(3):
@@ -27,18 +27,18 @@ def _crossed(cells, index, known, middle, cut, status, position, arrival, normal
                 continue
             i, j, k = middle[x], middle[y], middle[z]
             for _ in range(middle[cells[q, axis] + 1] - middle[cells[q, axis]]):
-                if cut[i, j, k] & (1 << axis) and status[i, j, k] != 0:
+                if march.cut[i, j, k] & (1 << axis) and march.status[i, j, k] != 0:
                     p = position[i, j, k]
-                    side = 1.0 if normals[p, axis] >= 0 else -1.0
+                    sign = 1.0 if crack.normals[p, axis] >= 0 else -1.0
                     found.append(
                         (
                             float(q),
                             float(index[a, b, c]),
                             float(axis),
-                            arrival[p],
-                            side * normals[p, 0],
-                            side * normals[p, 1],
-                            side * normals[p, 2],
+                            crack.arrival[p],
+                            sign * crack.normals[p, 0],
+                            sign * crack.normals[p, 1],
+                            sign * crack.normals[p, 2],
                         )
                     )
                     known[q, axis] = True
@@ -48,27 +48,27 @@ def _crossed(cells, index, known, middle, cut, status, position, arrival, normal
 
 
 @dataclass(frozen=True, eq=False)
-class Openings:
-    """Faces of coarse cells that a crack has reached or will reach."""
+class PendingFaces:
+    """Faces of coarse cells that cracks have cut but the solid has not opened yet."""
 
     known: np.ndarray
-    """Whether the face of a cell towards the next along each axis is open or will be, shape (n, 3)."""
+    """Whether the face of a cell towards the next along each axis is open or pending, shape (n, 3)."""
     faces: Ints
-    """Those still to be opened: cell, cell beyond, axis, shape (f, 3)."""
+    """Pending faces: cell, cell beyond, axis, shape (f, 3)."""
     normals: Floats
     """Crack normal, towards the cell beyond, shape (f, 3)."""
     times: Floats
-    """When the front comes by [s], shape (f,)."""
+    """When the crack front passes [s], shape (f,)."""
 
     @staticmethod
-    def none(solid: CrackedSolid) -> Openings:
-        return Openings(solid.parted.astype(bool), np.zeros((0, 3), np.int64), np.zeros((0, 3)), np.zeros(0))
+    def none(solid: CrackedSolid) -> PendingFaces:
+        return PendingFaces(solid.is_open.astype(bool), np.zeros((0, 3), np.int64), np.zeros((0, 3)), np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.times)
 
-    def add(self, body: FractureBody, crack: Crack, front: Front, position: np.ndarray) -> Openings:
-        """With what `crack` opens; `position` has the number of each of its voxels."""
+    def add(self, body: FractureBody, crack: Crack, march: MarchState, position: np.ndarray) -> PendingFaces:
+        """Also the faces that `crack` cuts; `position` holds the index of each of its voxels."""
         if not len(crack.voxels):
             return self
         coarse, fine = body.coarse, body.fine
@@ -77,21 +77,16 @@ class Openings:
         index = np.full(coarse.shape, -1, np.int64)
         index[tuple(body.cells.T)] = np.arange(len(body.cells))
         known = self.known.copy()
-        new = np.array(
-            _crossed(
-                body.cells, index, known, middle, front.cut, front.status, position, crack.arrival,
-                np.ascontiguousarray(crack.normals),
-            )
-        ).reshape(-1, 7)  # fmt: skip
-        return Openings(
+        new = np.array(_crossed(body.cells, index, known, middle, march, position, crack)).reshape(-1, 7)
+        return PendingFaces(
             known,
             np.concatenate([self.faces, new[:, :3].astype(np.int64)]),
             np.concatenate([self.normals, new[:, 4:]]),
             np.concatenate([self.times, new[:, 3]]),
         )
 
-    def release(self, solid: CrackedSolid, time: float) -> Openings:
-        """Open in `solid` what is due by `time` [s]. Returns what is left."""
+    def open_due(self, solid: CrackedSolid, time: float) -> PendingFaces:
+        """Open the faces in `solid` that the front passes by `time` [s]. Returns the others."""
         due = self.times <= time
-        solid.part(self.faces[due], self.normals[due])
-        return Openings(self.known, self.faces[~due], self.normals[~due], self.times[~due])
+        solid.open_faces(self.faces[due], self.normals[due])
+        return PendingFaces(self.known, self.faces[~due], self.normals[~due], self.times[~due])

@@ -1,4 +1,4 @@
-"""Where the crack solver samples space: a fine lattice for fronts, a coarse one for stress."""
+"""Grids of the crack solver: a fine one for crack fronts, a coarse one for stress."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numba import njit
 from deepfracture.types import Floats, Grid
 
 MARGIN = 4
-"""Empty cells around the pattern's grid: a crack must run past the surface or the cut leaks."""
+"""Empty cells around the pattern's grid: cracks must run past the surface, or uncut voxels are left there."""
 
 
 @dataclass(frozen=True)
-class Lattice:
-    """n^3 cell centres that cover the pattern's grid and its margin."""
+class PaddedGrid:
+    """n^3 cells that cover the pattern's grid and a margin around it."""
 
     n: int
     spacing: float
@@ -24,13 +24,13 @@ class Lattice:
     """Lower corner of the first cell, the same on each axis [m]."""
 
     @staticmethod
-    def fine(grid: Grid) -> Lattice:
-        """The voxels of `grid` continued by `MARGIN` cells on each side."""
-        return Lattice(grid.resolution + 2 * MARGIN, grid.spacing, -1.0 - MARGIN * grid.spacing)
+    def fine(grid: Grid) -> PaddedGrid:
+        """The voxels of `grid`, extended by `MARGIN` cells on each side."""
+        return PaddedGrid(grid.resolution + 2 * MARGIN, grid.spacing, -1.0 - MARGIN * grid.spacing)
 
-    def coarsened(self, n: int) -> Lattice:
+    def coarsened(self, n: int) -> PaddedGrid:
         """`n`^3 cells over the same box."""
-        return Lattice(n, self.n * self.spacing / n, self.low)
+        return PaddedGrid(n, self.n * self.spacing / n, self.low)
 
     @property
     def shape(self) -> tuple[int, int, int]:
