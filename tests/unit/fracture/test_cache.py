@@ -48,7 +48,7 @@ def test_damaged_files_are_made_anew(kept: Path, caplog: pytest.LogCaptureFixtur
         path.write_bytes(path.read_bytes()[:100])
     second, again = body()
     assert again == ["distances", "distances"]
-    assert "not a saved distance lattice" in caplog.text
+    assert "not a saved distance field" in caplog.text
     assert (first.sdf == second.sdf).all()
 
 
