@@ -16,7 +16,7 @@ from deepfracture.geometry import load_shape, signed_distance_lattice
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import Grid
 
-FIELDS = ("sdf", "nodes", "cells", "node_of", "wall")
+FIELDS = ("sdf", "centres", "cells", "nearest_cell", "thickness")
 
 
 @pytest.fixture
