@@ -73,7 +73,9 @@ def test_python_on_a_page_is_python_and_its_names_exist(page: Path) -> None:
 def commands(page: Path) -> dict[str, set[str]]:
     """The options that a page uses, by command."""
     used: dict[str, set[str]] = {}
-    for line in re.findall(r"^\s*(?:`|\$ )?deepfracture ([a-z].*)$", text_of(page), re.M):
+    text = text_of(page)
+    code = re.findall(r"```.*?```", text, re.S) + re.findall(r"^(?: {4}|`).*$", text, re.M)
+    for line in re.findall(r"^\s*(?:`|\$ )?deepfracture ([a-z].*)$", "\n".join(code), re.M):
         command, *rest = line.split("#")[0].split("`")[0].split()
         used.setdefault(command, set()).update(word for word in rest if word.startswith("--"))
     return used
