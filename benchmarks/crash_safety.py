@@ -409,24 +409,24 @@ def _mixed(folder: Path, before: Digests, after: Digests) -> str:
 def _play(folder: Path) -> None:
     """The page, a world in it with a mesh that was dropped onto it, and each file that a player can take home."""
     from deepfracture.geometry import load_shape
-    from deepfracture.play.library import Library, read_upload
-    from deepfracture.play.saving import FILES, make
+    from deepfracture.play.breaker_cache import BreakerCache
+    from deepfracture.play.saving import FILES, make_file
     from deepfracture.play.server import Options, page
     from deepfracture.play.session import Session, Setup, Shot
+    from deepfracture.play.uploads import read_upload
 
     shape = load_shape("bar").mesh
     mesh = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in shape.vertices.tolist())
     mesh += "".join(f"f {a} {b} {c}\n" for a, b, c in (shape.faces + 1).tolist())
     with page(Options("bar", port=0)):
         own = next(Path(tempfile.gettempdir()).glob(f"{HIDDEN}-*/new")) / "tab_0"
-        library = Library("bar")
         entry = read_upload(mesh.encode(), "bar.obj", own, limit=1 << 20)
-        session = Session(library, entry, Setup("voronoi"))
+        session = Session(BreakerCache(), entry, Setup("voronoi"))
         session.shoot(np.array([3.0, 0.1, 0.5]), np.array([-1.0, 0.0, 0.0]), Shot())
         while session.frames < 25 and session.step():
             pass
         for kind in FILES:
-            name, content = make(kind, session.recording(), session.scene(), entry)
+            name, content = make_file(kind, session.recording(), session.scene(), entry)
             kept = folder / name
             if name.endswith(".zip"):
                 content = _unpacked(content)

@@ -131,7 +131,7 @@ def test_a_hit_shatters_it_and_tells_what_happened(tab):
 def test_a_piece_can_be_shot_again(tab, monkeypatch):
     panel, sent = PLAYERS[0]._panel, []
     readout = panel.readout
-    monkeypatch.setattr(panel, "readout", lambda *a, **k: (readout(*a, **k), sent.append(panel._found.content)))
+    monkeypatch.setattr(panel, "readout", lambda *a, **k: (readout(*a, **k), sent.append(panel._result.content)))
     first, pieces = said(tab), number(tab, "pieces in the world")
     rows, columns = np.nonzero(clay(picture(tab)))
     near = int(np.argmin((columns - np.median(columns)) ** 2 + (rows - np.median(rows)) ** 2))
@@ -248,7 +248,7 @@ def test_nothing_of_the_machine_is_reachable_and_strangers_are_turned_away(serve
     import viser
     import viser._messages as messages
 
-    assert messages.ShareUrlRequest  # what would open a tunnel; see the unit test of the guard
+    assert messages.ShareUrlRequest  # what would open a tunnel; see the unit test of play.security
     closed = elsewhere.evaluate(
         """([address, protocol]) => new Promise(done => {
             const socket = new WebSocket(address, [protocol]);

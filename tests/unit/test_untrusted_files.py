@@ -31,7 +31,7 @@ from deepfracture.fracture.elastostatics import ElasticBody
 from deepfracture.geometry import load_shape
 from deepfracture.learn import embedded_model, load_model, model_kind
 from deepfracture.learn.checkpoint import KEY, read
-from deepfracture.play.library import read_upload
+from deepfracture.play.uploads import read_upload
 from deepfracture.runtime.files import FORMER, LOCK, NEW, PREFIX, atomic_contents, atomic_folder, remove_stale
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput

@@ -1,4 +1,4 @@
-"""A page on this machine on which one shoots at things: `deepfracture play`."""
+"""The interactive page of `deepfracture play`: click an object to throw a ball at it."""
 
 from deepfracture.play.server import Options, page, serve
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from deepfracture.fracture import MATERIALS
 from deepfracture.geometry.rotations import rotation_matrix
-from deepfracture.play.guard import limit_uploads, number
-from deepfracture.play.library import KINDS, Entry, Library, too_large
+from deepfracture.play.library import Entry, Library
+from deepfracture.play.readout import Timing, breaker_html, readout_html, status_html
+from deepfracture.play.security import clamped_number, limit_uploads
 from deepfracture.play.session import Readout, Setup, Shot
-from deepfracture.play.telling import Timing, breaker_html, readout_html, status_html
+from deepfracture.play.uploads import UPLOAD_SUFFIXES, too_large
 from deepfracture.render.camera import frame_points
 from deepfracture.types import BadInput
 from deepfracture.world import GRAVITY, UPRIGHT, Pose
@@ -21,58 +22,67 @@ if TYPE_CHECKING:
     from viser import ClientHandle, GuiButtonGroupHandle, GuiEvent, GuiSliderHandle, GuiUploadButtonHandle
     from viser._messages import HotkeyKey
 
-    from deepfracture.play.player import Player
-
 PACES = {"real time": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/30": 1 / 30}
-"""How fast time goes."""
-PAUSE, GO_ON, REPLAY, RESET = "Pause", "Go on", "Replay", "Reset"
+"""Time of the world over real time."""
+PAUSE, RESUME, REPLAY, RESET = "Pause", "Resume", "Replay", "Reset"
 SAVED = {"glb": "GLB", "usd": "USD", "film": "Film", "scene": "Scene"}
-"""What can be saved, as the buttons have it."""
+"""Labels of the buttons that save a file, by kind of file."""
 AZIMUTH, ELEVATION, ASPECT = -60.0, 18.0, 1.2
-"""Where the camera stands at first [degrees], and the shape of a page beside its panel."""
-AROUND = 2.0
-"""Free space around the shape, for its pieces."""
+"""Initial view [degrees], and width over height of the page beside its panel."""
+MARGIN = 2.0
+"""Size of the initial view over that of the shape: the rest is space for its pieces."""
 DROP = """<img alt="" style="display:none"
 src="data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
 onload="if(!window.dfDrop){window.dfDrop=1;document.addEventListener('dragover',e=>e.preventDefault());
 document.addEventListener('drop',e=>{e.preventDefault();const i=document.querySelector('input[type=file]');
 if(i&&e.dataTransfer.files.length){i.files=e.dataTransfer.files;
 i.dispatchEvent(new Event('change',{bubbles:true}))}})}">"""
-"""Hands a file that is dropped anywhere on the page to the upload button: viser has no drop zone of its own."""
+"""Passes a file dropped anywhere on the page to the upload button: viser has no drop zone of its own."""
+
+
+class Actions(Protocol):
+    """What the controls do; all but `request` run in the thread of the world."""
+
+    def request(self, kind: str, action: Callable[[], None]) -> None: ...
+    def pause(self, paused: bool) -> None: ...
+    def go_to(self, seconds: float) -> None: ...
+    def replay(self) -> None: ...
+    def reset(self) -> None: ...
+    def upload(self, name: str, content: bytes) -> None: ...
+    def save(self, kind: str) -> None: ...
 
 
 class Panel:
-    """Builds the controls and says what is on them. Safe to use from any thread."""
+    """Builds the controls, reads and updates them. Thread-safe."""
 
     def __init__(
-        self, client: ClientHandle, player: Player, library: Library, entry: Entry, *, upload_limit: int
+        self, client: ClientHandle, actions: Actions, library: Library, entry: Entry, *, upload_limit: int
     ) -> None:
-        self._client, self._player, self._limit = client, player, upload_limit
-        self._own: dict[str, Entry] = {}
+        self._client, self._actions, self._limit = client, actions, upload_limit
         self._labels = library.labels
         gui = client.gui
-        self._status = gui.add_html(status_html("Getting ready …") + DROP)
+        self._status = gui.add_html(status_html("Loading …") + DROP)
         self._object(entry)
         with gui.add_folder("Ball"):
             self._radius = gui.add_slider("Radius [m]", 0.05, 0.5, 0.01, 0.2, hint="Of steel; objects are 2 m long.")
             self._speed = gui.add_slider("Speed [m/s]", 1.0, 60.0, 1.0, 14.0)
         self._time()
-        with gui.add_folder("What happened"):
-            self._found = gui.add_html("")
+        with gui.add_folder("Result"):
+            self._result = gui.add_html("")
         self._world()
         with gui.add_folder("Save"):
-            self._buttons({label: (lambda kind=kind: player.save(kind)) for kind, label in SAVED.items()})
+            self._buttons({label: (lambda kind=kind: actions.save(kind)) for kind, label in SAVED.items()})
         keys: dict[HotkeyKey, tuple[str, Callable[[], None]]] = {
-            "space": ("Pause or go on", self._pause_or_go_on),
-            "P": ("Replay", player.replay),
-            "R": ("Reset", player.reset),
+            "space": ("Pause or resume", self._toggle_pause),
+            "P": ("Replay", actions.replay),
+            "R": ("Reset", actions.reset),
         }
         for key, (label, action) in keys.items():
             command = gui.add_command(label, hotkey=key)
-            command.on_trigger(lambda _, label=label, action=action: player.wish(label, action))
+            command.on_trigger(lambda _, label=label, action=action: actions.request(label, action))
 
-    def _pause_or_go_on(self) -> None:
-        self._player.pause(self._clock.options[0] == PAUSE)
+    def _toggle_pause(self) -> None:
+        self._actions.pause(self._clock.options[0] == PAUSE)
 
     def _object(self, entry: Entry) -> None:
         gui = self._client.gui
@@ -85,18 +95,18 @@ class Panel:
             self._note = gui.add_html("")
         self._upload_button()
         for handle in (self._shape, self._breaker, self._material, self._up):
-            self._listen(handle, "reset", self._player.reset)
+            self._listen(handle, "reset", self._actions.reset)
 
     def _time(self) -> None:
-        gui, player = self._client.gui, self._player
+        gui, actions = self._client.gui, self._actions
         with gui.add_folder("Time"):
             self._pace = gui.add_dropdown("Pace", tuple(PACES), initial_value="real time")
-            self._moment = gui.add_slider("Moment [s]", 0.0, 0.1, 0.01, 0.0)
+            self._seconds = gui.add_slider("Time [s]", 0.0, 0.1, 0.01, 0.0)
             self._clock = self._buttons(
-                {PAUSE: self._pause_or_go_on, GO_ON: self._pause_or_go_on, REPLAY: player.replay, RESET: player.reset}
+                {PAUSE: self._toggle_pause, RESUME: self._toggle_pause, REPLAY: actions.replay, RESET: actions.reset}
             )
             self._clock.options = (PAUSE, REPLAY, RESET)
-        self._listen(self._moment, "moment", lambda: player.go_to(_at(self._moment, 0.0)))
+        self._listen(self._seconds, "time", lambda: actions.go_to(_value(self._seconds, 0.0)))
 
     def _world(self) -> None:
         gui = self._client.gui
@@ -104,13 +114,13 @@ class Panel:
             self._gravity = gui.add_slider("Gravity [m/s²]", 0.0, 25.0, 0.01, GRAVITY)
             self._seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
         for handle in (self._gravity, self._seed):
-            self._listen(handle, "reset", self._player.reset)
+            self._listen(handle, "reset", self._actions.reset)
 
     def _upload_button(self) -> None:
-        """A button that takes no file above the limit; a new one after each refusal, as it would wait for ever."""
+        """A button that accepts no file above the limit; replaced after a refusal, because it would wait for ever."""
         with self._folder:
             button = self._client.gui.add_upload_button(
-                "Your own mesh: drop it here", mime_type=",".join(KINDS), hint=f"Or click: {', '.join(KINDS)}",
+                "Drop a mesh here", mime_type=",".join(UPLOAD_SUFFIXES), hint=f"Or click: {', '.join(UPLOAD_SUFFIXES)}",
                 order=self._note._impl.props.order + 0.5,
             )  # fmt: skip
         limit_uploads(self._client, self._limit, self._refused)
@@ -119,29 +129,29 @@ class Panel:
 
     def _uploaded(self, event: GuiEvent[GuiUploadButtonHandle]) -> None:
         file = event.target.value
-        self._player.wish("upload", lambda: self._player.upload(file.name, file.content))
+        self._actions.request("upload", lambda: self._actions.upload(file.name, file.content))
 
     def _refused(self, name: str, size: int) -> None:
         self._upload.remove()
         self._upload_button()
-        self.complain(too_large(name, size, self._limit))
+        self.show_error(too_large(name, size, self._limit))
 
     def _buttons(self, actions: Mapping[str, Callable[[], None]]) -> GuiButtonGroupHandle:
-        """Buttons side by side, with what each does."""
+        """Buttons side by side, each with its action."""
         group = self._client.gui.add_button_group("", tuple(actions))
-        group.on_click(lambda event: self._player.wish(event.target.value, actions[event.target.value]))
+        group.on_click(lambda event: self._actions.request(event.target.value, actions[event.target.value]))
         return group
 
     def _listen(self, handle: Any, kind: str, action: Callable[[], None]) -> None:
-        """Only to what the browser changes: what we change ourselves comes by here as well."""
+        """Only to changes from the browser: changes by the server trigger the callback, too."""
 
         def changed(event: GuiEvent) -> None:
             if event.client_id is not None:
-                self._player.wish(kind, action)
+                self._actions.request(kind, action)
 
         handle.on_update(changed)
 
-    # What is on the controls.
+    # Values of the controls.
 
     @property
     def shape(self) -> str:
@@ -151,29 +161,29 @@ class Panel:
     @property
     def shot(self) -> Shot:
         """The ball."""
-        return Shot(_at(self._radius, 0.2), _at(self._speed, 14.0))
+        return Shot(_value(self._radius, 0.2), _value(self._speed, 14.0))
 
     @property
     def pace(self) -> float:
-        """World's time over real time."""
+        """Time of the world over real time."""
         return PACES.get(str(self._pace.value), 1.0)
 
     def setup(self, entry: Entry) -> Setup:
-        """The world that is asked for; BadInput for what it cannot be."""
+        """The requested settings of the world. BadInput if the shape does not allow them."""
         if self._breaker.value not in entry.breakers:
             raise BadInput(f"breaker {self._breaker.value!r} cannot break {entry.label}")
         return Setup(
             str(self._breaker.value),
             str(self._material.value),
             str(self._up.value),
-            _at(self._gravity, GRAVITY),
-            int(number(self._seed.value, 0, 2**31 - 1, 0)),
+            _value(self._gravity, GRAVITY),
+            int(clamped_number(self._seed.value, 0, 2**31 - 1, 0)),
         )
 
-    # What the page says.
+    # Updates of the page.
 
     def offer(self, entry: Entry) -> None:
-        """Let the shape's own breakers be picked; the best one where the former cannot break it."""
+        """Offer the breakers of a shape; select the best one if the former cannot break it."""
         if tuple(self._breaker.options) != entry.breakers:
             self._breaker.options = entry.breakers
             self._breaker.value = entry.breakers[0]
@@ -182,7 +192,7 @@ class Panel:
         self._note.content = breaker_html(entry, self._breaker.value, self._material.value)
 
     def add(self, entry: Entry) -> None:
-        """One more shape, which is picked at once."""
+        """Add a shape and select it."""
         self._labels = (entry.label, *(label for label in self._labels if label != entry.label))
         self._shape.options = self._labels
         self._shape.value = entry.label
@@ -192,45 +202,45 @@ class Panel:
         self.offer(entry)
 
     def status(self, text: str) -> None:
-        """What is going on; "" for the instructions."""
+        """Show a status line; "" for the instructions."""
         self._status.content = status_html(text) + DROP
 
-    def tell(self, title: str, text: str) -> None:
-        """A note that goes away by itself."""
+    def notify(self, title: str, text: str) -> None:
+        """Show a notification that closes by itself."""
         self._client.add_notification(title, text, auto_close_seconds=8.0, color="blue")
 
-    def complain(self, text: str) -> None:
-        """What went wrong, in one line that stays for a while."""
+    def show_error(self, text: str) -> None:
+        """Show an error in one line for a while."""
         self.status("")
-        self._client.add_notification("Not so", text, auto_close_seconds=20.0, color="red")
+        self._client.add_notification("Error", text, auto_close_seconds=20.0, color="red")
 
-    def working(self, text: str) -> Callable[[], None]:
-        """A note that stays until what is returned is called."""
+    def show_progress(self, text: str) -> Callable[[], None]:
+        """Show a notification until the returned function is called."""
         note = self._client.add_notification(text, "", loading=True, with_close_button=False)
         return note.remove
 
     def paused(self, paused: bool) -> None:
-        self._clock.options = (GO_ON if paused else PAUSE, REPLAY, RESET)
+        self._clock.options = (RESUME if paused else PAUSE, REPLAY, RESET)
 
-    def moment(self, now: float, end: float) -> None:
-        """Where the slider stands [s]."""
+    def show_time(self, now: float, end: float) -> None:
+        """Set the time slider and its end [s]."""
         end = max(round(end, 2), 0.1)
-        if self._moment.max != end:
-            self._moment.max = end
+        if self._seconds.max != end:
+            self._seconds.max = end
         now = min(round(now, 2), end)
-        if self._moment.value != now:
-            self._moment.value = now
+        if self._seconds.value != now:
+            self._seconds.value = now
 
     def readout(self, found: Readout | None, timing: Timing, entry: Entry, *, flying: bool = False) -> None:
-        """What the last shot did, and what breaks the shape."""
-        self._found.content = readout_html(found, timing, flying=flying)
+        """Show the result of the last shot, and the breaker."""
+        self._result.content = readout_html(found, timing, flying=flying)
         self._note.content = breaker_html(entry, self._breaker.value, self._material.value)
 
     def look_at(self, pose: Pose) -> None:
-        """Stand before a body."""
+        """Point the camera at a body."""
         points = pose.mesh.vertices @ rotation_matrix(pose.quat_wxyz).T + pose.position
         middle = points.mean(axis=0)
-        camera = frame_points(middle + AROUND * (points - middle), ASPECT, azimuth=AZIMUTH, elevation=ELEVATION)
+        camera = frame_points(middle + MARGIN * (points - middle), ASPECT, azimuth=AZIMUTH, elevation=ELEVATION)
         view = self._client.camera
         with self._client.atomic():
             view.fov = float(np.radians(camera.field))
@@ -238,5 +248,5 @@ class Panel:
             view.look_at = tuple(camera.target)
 
 
-def _at(slider: GuiSliderHandle, usual: float) -> float:
-    return number(slider.value, slider.min, slider.max, usual)
+def _value(slider: GuiSliderHandle, default: float) -> float:
+    return clamped_number(slider.value, slider.min, slider.max, default)

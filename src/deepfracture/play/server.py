@@ -1,4 +1,4 @@
-"""The page: a server on this machine, a world for each tab."""
+"""The web server of the page, with a world for each tab."""
 
 from __future__ import annotations
 
@@ -12,9 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepfracture.export.viser_scene import add_floor
-from deepfracture.play.guard import calm, forbid_sharing, is_loopback, limit_messages, stranger, turn_away
+from deepfracture.play.breaker_cache import BreakerCache
 from deepfracture.play.library import Library
 from deepfracture.play.player import Player
+from deepfracture.play.security import (
+    forbid_sharing,
+    is_loopback,
+    limit_messages,
+    quiet_websockets,
+    reject,
+    rejection_reason,
+)
 from deepfracture.runtime.extras import require
 from deepfracture.runtime.files import scratch_folder
 from deepfracture.runtime.progress import log
@@ -26,7 +34,7 @@ if TYPE_CHECKING:
 
 BRAND = (189, 94, 61)
 BACKDROP = (255, 255, 255)
-"""Colour into which the floor fades."""
+"""Colour of the background, into which the floor fades."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +44,15 @@ class Options:
     shape: str | None = None
     """Built-in shape or mesh file to begin with."""
     model: Path | None = None
-    """Its trained weights, in the place of the shipped ones."""
+    """Its trained weights, instead of the shipped ones."""
     up: str | None = None
-    """Axis of the file that points up; None: as usual for its kind of file."""
+    """Axis of the file that points up; None: the usual one of its file type."""
     host: str = "127.0.0.1"
     port: int = 8080
     upload_limit: int = 64_000_000
     """Largest file that can be uploaded [bytes]."""
     most_tabs: int = 8
-    """Tabs with a world of their own, at once."""
+    """Greatest number of tabs at once, each with its own world."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port < 65536:
@@ -59,33 +67,33 @@ class Options:
 
 def serve(options: Options) -> None:
     """Serve the page until Ctrl+C."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # uploads are removed then, too
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that uploads are removed then, too
     with page(options) as url:
-        log.warning("Open %s in a browser; Ctrl+C ends it.", url)
+        log.warning("Open %s in a browser. Press Ctrl+C to stop.", url)
         if not is_loopback(options.host):
-            log.warning("Anybody who reaches %s can use it, and upload meshes to it.", options.host)
-        with suppress(KeyboardInterrupt):  # which is how it ends
+            log.warning("Anyone who can reach %s can use the page and upload meshes.", options.host)
+        with suppress(KeyboardInterrupt):  # the way to stop
             threading.Event().wait()
 
 
 @contextmanager
 def page(options: Options) -> Iterator[str]:
-    """The page while the context lasts; its address. BadInput for a shape or model that cannot be used."""
+    """Serves the page while the context lasts; yields its address. BadInput: the shape or model cannot be used."""
     require("viser", extra="play", to="play in the browser")
     import viser
 
-    library = Library(options.shape, model=options.model, up=options.up)
+    library, breakers = Library(options.shape, model=options.model, up=options.up), BreakerCache()
     if options.model is not None:
-        library.breaker(library.entry(library.first), "learned", "plaster")  # complains of what does not fit
+        breakers.breaker(library.entry(library.first), "learned", "plaster")  # raises if the model does not fit
     players: dict[int, Player] = {}
-    with redirect_stdout(io.StringIO()):  # viser prints an address of its own
+    with redirect_stdout(io.StringIO()):  # viser prints its own address
         server = viser.ViserServer(host=options.host, port=options.port, label="deepfracture", verbose=False)
     with scratch_folder() as folder:
         try:
             forbid_sharing(server)
-            _furnish(server)
-            _let_in(server, library, folder, players, options)
-            with calm():
+            _set_up_scene(server)
+            _accept_clients(server, library, breakers, folder, players, options)
+            with quiet_websockets():
                 yield f"http://{'localhost' if options.host == '0.0.0.0' else options.host}:{server.get_port()}"
         finally:
             for player in list(players.values()):
@@ -94,31 +102,38 @@ def page(options: Options) -> Iterator[str]:
                 server.stop()
 
 
-def _furnish(server: ViserServer) -> None:
-    """What all tabs share: the floor, the light, the looks of the panel."""
+def _set_up_scene(server: ViserServer) -> None:
+    """What all tabs share: the floor, the fog, the theme of the panel."""
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND, control_width="medium")
     server.scene.set_up_direction("+z")
     server.scene.configure_fog(10.0, 45.0, color=BACKDROP)
     add_floor(server.scene, 0.0)
 
 
-def _let_in(server: ViserServer, library: Library, folder: Path, players: dict[int, Player], options: Options) -> None:
+def _accept_clients(
+    server: ViserServer,
+    library: Library,
+    breakers: BreakerCache,
+    folder: Path,
+    players: dict[int, Player],
+    options: Options,
+) -> None:
     lock = threading.Lock()
 
     @server.on_client_connect
     def _(client: ClientHandle) -> None:
-        why = stranger(server, client)
-        if why:
-            log.warning("play: a connection was turned away: %s", why)
-            turn_away(server, client)
+        reason = rejection_reason(server, client)
+        if reason:
+            log.warning("play: rejected a connection: %s", reason)
+            reject(server, client)
             return
         limit_messages(server, client)
         with lock:
             if len(players) >= options.most_tabs:
-                client.add_notification("Full", f"{options.most_tabs} tabs play already; close one and reload.")
+                client.add_notification("Too many tabs", f"{options.most_tabs} are open; close one and reload.")
                 return
             own = folder / f"tab_{client.client_id}"
-            players[client.client_id] = Player(client, library, own, upload_limit=options.upload_limit)
+            players[client.client_id] = Player(client, library, breakers, own, upload_limit=options.upload_limit)
         player = players[client.client_id]
 
         @client.scene.on_click()

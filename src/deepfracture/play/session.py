@@ -1,4 +1,4 @@
-"""One player's world: what stands in it, what was thrown at it, what came of that."""
+"""The world of one player: its shape, the balls thrown at it, the results."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from deepfracture.breakers import REFRACTURING
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
 from deepfracture.geometry.rotations import rotation_matrix
-from deepfracture.play.aim import Obstacle, launch
-from deepfracture.play.library import Entry, Library
+from deepfracture.play.breaker_cache import BreakerCache
+from deepfracture.play.launch import Obstacle, launch
+from deepfracture.play.library import Entry
 from deepfracture.runtime.progress import collect_stages
 from deepfracture.types import BadInput, Floats, Recording
 from deepfracture.world import GRAVITY, UPRIGHT, Ball, Collision, Floor, Live, Pose, Scene, place_on_floor, throw_scene
 
 GENERATIONS = 3
-"""Of fragments that may break again: where a ball hits them, as to ask about all that fall takes too long."""
-MOST_BALLS = 60
+"""Of fragments that may break again, when a ball hits them: testing all that fall would take too long."""
+MAX_BALLS = 60
 """Balls in one world ..."""
-MOST_SECONDS = 120.0
-"""... and the time that it may last [s]: what was recorded is kept in memory, and all that lies about is moved."""
-REHEARSAL_SPEED = 12.0
-"""Of the ball that breaks a shape once before anybody does [m/s]."""
+MAX_SECONDS = 120.0
+"""... and its duration [s]: the recording is kept in memory."""
+WARM_UP_SPEED = 12.0
+"""Of the ball that breaks a shape once in advance [m/s]."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What the world is made of; a change begins it anew."""
+    """Settings of a world; a change resets it."""
 
     breaker: str
     material: str = "plaster"
@@ -57,10 +58,10 @@ class Shot:
 
 @dataclass(frozen=True)
 class Readout:
-    """What came of a shot: its collision that broke something, or else the strongest."""
+    """Result of a shot: the strongest of its collisions that broke something, or of all."""
 
     body: str
-    """What was struck."""
+    """Name of the body that was struck."""
     impulse: float
     """Of the strongest contact [N s]."""
     stress: float
@@ -68,26 +69,26 @@ class Readout:
     strength: float
     """sigma_0 of the material [Pa]."""
     fragments: int
-    """That it broke into; 0: it held."""
+    """Number of fragments; 0: it did not break."""
     pieces: int
     """Fragments in the world now."""
     milliseconds: Mapping[str, float] = field(default_factory=dict)
-    """What each stage of the break took."""
+    """Duration of each stage of the break."""
 
 
 class Session:
-    """The world of one player. Not for several threads at once."""
+    """The world of one player. Not thread-safe."""
 
-    def __init__(self, library: Library, entry: Entry, setup: Setup) -> None:
-        """BadInput where the setup does not fit the shape."""
-        self.library, self.entry, self.setup = library, entry, setup
-        self._live = self._begin()
-        self._since: list[tuple[Collision, dict[str, float]]] = []
+    def __init__(self, breakers: BreakerCache, entry: Entry, setup: Setup) -> None:
+        """BadInput if the setup does not fit the shape."""
+        self.breakers, self.entry, self.setup = breakers, entry, setup
+        self._live = self._start()
+        self._collisions: list[tuple[Collision, dict[str, float]]] = []
         """The collisions since the last shot, each with the milliseconds of its stages."""
 
     @property
     def frames(self) -> int:
-        """Frames written down so far; the last one is now."""
+        """Frames recorded so far; the last one is the present."""
         return self._live.frames
 
     @property
@@ -97,32 +98,32 @@ class Session:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing moves and nothing will, until the next shot."""
+        """Whether nothing moves until the next shot."""
         return self._live.at_rest
 
     def at(self, frame: float) -> list[Pose]:
-        """Where everything that can move was at a frame, or between two."""
+        """Poses of all moving bodies at a frame, or between two."""
         return self._live.at(frame)
 
     def recording(self) -> Recording:
-        """All that has happened."""
+        """The recording so far."""
         return self._live.outcome().recording
 
     def scene(self) -> Scene:
-        """What `simulate` needs to repeat it."""
+        """The scene with which `simulate` reproduces it."""
         return self._live.scene()
 
     @property
     def full(self) -> str:
         """Why no more balls can be thrown; "" if they can."""
-        if len(self._live.scene().balls) >= MOST_BALLS:
-            return f"{MOST_BALLS} balls are enough for one world: reset it"
-        if self.frames > MOST_SECONDS * self.frame_rate:
-            return f"this world has lasted {MOST_SECONDS:.0f} s: reset it"
+        if len(self._live.scene().balls) >= MAX_BALLS:
+            return f"{MAX_BALLS} balls are the maximum in one world: reset it"
+        if self.frames > MAX_SECONDS * self.frame_rate:
+            return f"{MAX_SECONDS:.0f} s are the maximum for one world: reset it"
         return ""
 
     def shoot(self, origin: Floats, direction: Floats, shot: Shot) -> Ball | None:
-        """Throw a ball along a ray, from just before what it will meet; it enters now.
+        """Throw a ball along a ray, from just before what it will hit.
 
         None if there is no room for it, or no more balls can be thrown."""
         if self.full:
@@ -133,43 +134,42 @@ class Session:
         )  # fmt: skip
         if ball is None:
             return None
-        self._since = []
+        self._collisions = []
         return self._live.throw(ball)
 
     def step(self) -> bool:
-        """One frame of the world's time; False if nothing moves. Waits for a break to be computed."""
+        """Simulate one frame, including any break; False if nothing moves."""
         known = len(self._live.collisions)
         with collect_stages() as stages:
             moved = self._live.advance()
-        taken: dict[str, float] = {}
+        milliseconds: dict[str, float] = {}
         for done in stages:
-            taken[done.stage] = taken.get(done.stage, 0.0) + 1e3 * done.seconds
-        self._since += [(collision, taken) for collision in self._live.collisions[known:]]
+            milliseconds[done.stage] = milliseconds.get(done.stage, 0.0) + 1e3 * done.seconds
+        self._collisions += [(collision, milliseconds) for collision in self._live.collisions[known:]]
         return moved
 
     def reset(self, entry: Entry | None = None, setup: Setup | None = None) -> None:
-        """Begin anew, with another shape or setup where given. BadInput, and the world as it was, if they do not
-        fit."""
+        """Start again, with another shape or setup if given. BadInput if they do not fit; the world then stays."""
         former = self._live, self.entry, self.setup
         self.entry, self.setup = entry or self.entry, setup or self.setup
         try:
-            self._live = self._begin()
+            self._live = self._start()
         except BadInput:
             _, self.entry, self.setup = former
             raise
         former[0].close()
-        self._since = []
+        self._collisions = []
 
     def close(self) -> None:
         """Release the engine."""
         self._live.close()
 
     def readout(self) -> Readout | None:
-        """What the last shot did; None while it has hit nothing."""
-        if not self._since:
+        """Result of the last shot; None while it has hit nothing."""
+        if not self._collisions:
             return None
-        broke = [known for known in self._since if known[0].fragments is not None]
-        main, taken = max(broke or self._since, key=lambda known: float(known[0].impact.magnitude[0]))
+        broke = [known for known in self._collisions if known[0].fragments is not None]
+        main, milliseconds = max(broke or self._collisions, key=lambda known: float(known[0].impact.magnitude[0]))
         material = preset(self.setup.material)
         area = float(np.linalg.norm(self._live.mesh(main.body).area_vectors, axis=1).sum())
         return Readout(
@@ -179,12 +179,12 @@ class Session:
             strength=material.strength,
             fragments=0 if main.fragments is None else len(main.fragments),
             pieces=sum(pose.kind == "fragment" for pose in self.at(self.frames - 1)),
-            milliseconds=taken if main.fragments is not None else {},
+            milliseconds=milliseconds if main.fragments is not None else {},
         )
 
-    def _begin(self) -> Live:
+    def _start(self) -> Live:
         setup, shape = self.setup, self.entry.shape
-        breaker = self.library.breaker(self.entry, setup.breaker, setup.material)
+        breaker = self.breakers.breaker(self.entry, setup.breaker, setup.material)
         placed = place_on_floor(
             self.entry.source, shape, material=setup.material, quat_wxyz=UPRIGHT[setup.up], repair=self.entry.repair
         )
@@ -200,14 +200,14 @@ class Session:
         return [Obstacle(pose.mesh, pose.position, rotation_matrix(pose.quat_wxyz)) for pose in poses]
 
 
-def rehearse(library: Library, entry: Entry, setup: Setup) -> int:
-    """Break a shape once in a world of its own, so that all is compiled, loaded and in the caches.
+def warm_up(breakers: BreakerCache, entry: Entry, setup: Setup) -> int:
+    """Break a shape once in a world of its own, so that everything is compiled, loaded and cached.
 
-    Returns the number of fragments, 0 if it held."""
+    Returns the number of fragments, 0 if it did not break."""
     shape = entry.shape
-    breaker = library.breaker(entry, setup.breaker, setup.material)
+    breaker = breakers.breaker(entry, setup.breaker, setup.material)
     scene = throw_scene(
-        entry.source, shape, np.random.default_rng(0), material=setup.material, speed=REHEARSAL_SPEED,
+        entry.source, shape, np.random.default_rng(0), material=setup.material, speed=WARM_UP_SPEED,
         quat_wxyz=UPRIGHT[setup.up],
     )  # fmt: skip
     scene = replace(scene, gravity=setup.gravity)

@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfracture.play import Options, page
-from deepfracture.play import library as shelves
+from deepfracture.play import Options, breaker_cache, page
 from deepfracture.play import server as served
-from deepfracture.play.guard import is_ray, number
-from deepfracture.play.library import Library, Turns
-from deepfracture.play.player import PICTURE, Player
+from deepfracture.play.breaker_cache import BreakerCache, FifoSemaphore
+from deepfracture.play.player import MESSAGE_WINDOW, Player
+from deepfracture.play.security import clamped_number, is_valid_ray
 
 GOAL = np.array([0.0, 0.0, 0.2])
 
@@ -91,7 +90,7 @@ def test_rubbish_costs_its_sender_the_connection_and_nobody_else_anything(client
     assert {name for name, what in said.items() if what == "ignored"} == harmless
     assert all(what.startswith("connection closed") for name, what in said.items() if name not in harmless)
     assert breaks(client, tab)
-    lines = [record.getMessage() for record in caplog.records if "no page sends" in record.getMessage()]
+    lines = [record.getMessage() for record in caplog.records if "invalid message" in record.getMessage()]
     assert len(lines) >= len(said) - len(harmless) - 1  # what is too long is not even read
     assert all(len(record.getMessage()) < 300 for record in caplog.records)
 
@@ -109,8 +108,9 @@ def test_who_does_not_read_holds_up_nobody_and_what_waits_is_bounded(client, url
     for _ in range(4):
         assert breaks(client, tab)
         waiting.append(len(buffer.message_from_id))
-    bodies = len(player._stand)
-    assert max(waiting) < 12 * bodies + 200 < PICTURE, waiting  # the last of each kind for each body, not one a frame
+    bodies = len(player._scene)
+    # The last of each kind for each body, not one a frame.
+    assert max(waiting) < 12 * bodies + 200 < MESSAGE_WINDOW, waiting
     deaf.close()
 
 
@@ -129,26 +129,26 @@ def test_a_world_goes_with_its_tab(client, url, tab, players):
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="the C library is not glibc")
 def test_what_is_free_goes_back_to_the_system_now_and_then(client, monkeypatch):
-    library = Library("bar")
+    breakers = BreakerCache()
 
     def freed():
         """Megabytes that go back when a world has left holes."""
         held = [bytes([k % 7 + 1]) * 60_000 for k in range(3000)]
         held = held[::100] + held[-1:]  # between which everything is free
         before = client.resident_mb()
-        library.tidy()
+        breakers.release_memory()
         return before - client.resident_mb()
 
     assert freed() > 100
     with monkeypatch.context() as patch:
-        patch.setattr(shelves, "TIDY", 1e9)
+        patch.setattr(breaker_cache, "RELEASE_PERIOD", 1e9)
         assert freed() < 20  # so soon it would cost more than it gives
-    monkeypatch.setattr(library, "_tidied", 0.0)
+    monkeypatch.setattr(breakers, "_released", 0.0)
     assert freed() > 100
 
 
 def test_turns_are_given_in_the_order_of_coming():
-    turns, order, inside, most = Turns(2), [], [], []
+    turns, order, inside, most = FifoSemaphore(2), [], [], []
     first, second = threading.Event(), threading.Event()
     hold = (first, second)
 
@@ -189,7 +189,7 @@ def test_turns_are_given_in_the_order_of_coming():
     ],
 )
 def test_a_ray_is_six_numbers_that_mean_something(origin, direction, fine):
-    assert is_ray(origin, direction) is fine
+    assert is_valid_ray(origin, direction) is fine
 
 
 @pytest.mark.parametrize(
@@ -197,4 +197,4 @@ def test_a_ray_is_six_numbers_that_mean_something(origin, direction, fine):
     [(3, 3.0), (99, 60.0), (-1e308, 1.0), (float("nan"), 14.0), ("9", 14.0), (True, 14.0), ([1], 14.0)],
 )
 def test_a_slider_stays_within_its_ends_whatever_is_said(said, meant):
-    assert number(said, 1.0, 60.0, 14.0) == meant
+    assert clamped_number(said, 1.0, 60.0, 14.0) == meant

@@ -1,4 +1,4 @@
-"""What the page says: the physics of a shot, what its stages took, how to train a model."""
+"""Text of the page: the physics of a shot, the times of its stages, how to train a model."""
 
 from __future__ import annotations
 
@@ -12,57 +12,57 @@ from deepfracture.play.session import Readout
 STAGES = {
     "predict": "predict",
     "segment": "segment",
-    "prepare fragment": "prepare the piece",
+    "prepare fragment": "prepare the fragment",
     "elastostatics": "stress",
     "cracks": "cracks",
     "fragments": "fragments",
-    "restrict": "restrict to the piece",
+    "restrict": "restrict to the fragment",
     "cut": "cut",
-    "put in": "hulls, put in",
+    "put in": "collision hulls, replacement",
 }
-"""Stages of a break that the page tells, of all that are measured: the others are parts of these."""
+"""Stages of a break that the page lists; the others are parts of these."""
 COLLISIONS = 60
-"""That `deepfracture simulate` throws."""
+"""Default of `deepfracture simulate`."""
 TRAINING = "6 to 10 minutes"
-"""What `deepfracture train` takes on two cores with that many patterns."""
+"""Time of `deepfracture train` on two cores with that many patterns."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """When a click led to what, by `time.perf_counter()` [s]; None: it did not, or not yet."""
+    """When the effects of a click happened, by `time.perf_counter()` [s]; None: not yet, or never."""
 
     click: float | None = None
     thrown: float | None = None
-    """The ball was in the world."""
+    """The ball entered the world."""
     struck: float | None = None
-    """The step began in which it broke something ..."""
+    """The step in which it broke something began ..."""
     broke: float | None = None
     """... and ended, with the fragments in the world."""
     moving: float | None = None
-    """Fragments that have moved were on their way to the browser."""
+    """Moved fragments were sent to the browser."""
     frame: int = 0
     """The first with fragments."""
     milliseconds: Mapping[str, float] = field(default_factory=dict)
     """Of the stages of the break."""
 
     def rows(self) -> list[tuple[str, float]]:
-        """What is worth telling, with milliseconds."""
+        """Labels and durations [ms]."""
         if self.click is None or self.struck is None or self.broke is None or self.moving is None:
             return []
         rows = [("flight of the ball", 1e3 * (self.struck - self.click))]
-        rows += [(f"– {said}", self.milliseconds[name]) for name, said in STAGES.items() if name in self.milliseconds]
-        rows += [("break, all in all", 1e3 * (self.broke - self.struck))]
+        rows += [(f"– {label}", self.milliseconds[name]) for name, label in STAGES.items() if name in self.milliseconds]
+        rows += [("break, total", 1e3 * (self.broke - self.struck))]
         rows += [("to the browser", 1e3 * (self.moving - self.broke))]
         return [*rows, ("click to first moving fragment", 1e3 * (self.moving - self.click))]
 
 
 def readout_html(found: Readout | None, timing: Timing, *, flying: bool = False) -> str:
-    """What the last shot did."""
+    """The result of the last shot."""
     if found is None:
-        said = "The ball is on its way." if flying else "Nothing hit yet." if timing.click is None else "Missed."
-        return _page(f"<div class='df-note'>{said}</div>")
+        text = "The ball is on its way." if flying else "Nothing hit yet." if timing.click is None else "Missed."
+        return _page(f"<div class='df-note'>{text}</div>")
     share = found.stress / found.strength
-    verdict = f"{found.fragments} fragments" if found.fragments else "it held"
+    verdict = f"{found.fragments} fragments" if found.fragments else "did not break"
     rows = [
         ("impulse I", f"{found.impulse:,.0f} N s"),
         ("stress σ₁", f"{found.stress / 1e6:,.1f} MPa"),
@@ -101,37 +101,37 @@ def _page(inner: str) -> str:
 
 
 def status_html(text: str, kind: str = "") -> str:
-    """A line on how things are, or the instructions when all is well."""
+    """A status line; the instructions if `text` is empty."""
     if text:
         return _page(f"<div class='df-{kind or 'busy'}'>{escape(text)}</div>")
     return _page(
-        "<b>Click the object</b> to shoot at it, and its pieces again.<br>"
-        "<span class='df-note'>Drag turns the view, the wheel zooms, right drag moves.</span>"
+        "<b>Click the object</b> to throw a ball at it; click its pieces to break them again.<br>"
+        "<span class='df-note'>Drag to rotate, scroll to zoom, right-drag to pan.</span>"
     )
 
 
 def breaker_html(entry: Entry, breaker: str, material: str) -> str:
-    """What breaks the shape now, and what it would take to do better."""
+    """Describes the breaker, and how to train a model if the shape has none."""
     if breaker == "learned":
         note = "The trained model of this shape answers in a tenth of a second."
         if material != "plaster":
-            note += f" Its cracks are those of plaster; whether they start depends on {material}."
+            note += f" Its cracks are those of plaster; {material} only decides whether it breaks."
         return _page(f"<div class='df-note'>{note}</div>")
     if breaker == "physical":
-        note = "Boundary elements and growing cracks: a break takes a few seconds."
+        note = "Boundary elements and crack growth: a break takes a few seconds."
     else:
-        note = "Voronoi cells: quick, not physical."
+        note = "Voronoi cells: fast, not physical."
     if entry.model is None:
         note += f" There is no trained model of {escape(entry.label)}. {training(entry)}"
     return _page(f"<div class='df-note'>{note}</div>")
 
 
 def training(entry: Entry) -> str:
-    """How to get a model, in HTML, and how long that takes."""
+    """The commands that train a model, as HTML, and how long they take."""
     name = escape(entry.label) if entry.file is None else "my_mesh" + (entry.file.suffix)
-    mend = " --repair" if entry.repair else ""
+    repair = " --repair" if entry.repair else ""
     return (
-        f"Train one and it breaks at once: <code>deepfracture simulate {name}{mend} --out data/mine</code> "
+        f"With one it breaks at once: <code>deepfracture simulate {name}{repair} --out data/mine</code> "
         f"({COLLISIONS} collisions, 2 to 5 minutes), <code>deepfracture train data/mine --out runs/mine</code> "
         f"({TRAINING}), <code>deepfracture play {name} --model runs/mine/model.safetensors</code>."
     )

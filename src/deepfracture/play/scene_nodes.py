@@ -1,4 +1,4 @@
-"""The bodies of a world in a scene of viser's, and their movement."""
+"""The bodies of a world as nodes of a viser scene."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeHandle
 
 
-class Stand:
-    """What a client's browser has: one node for each body that was ever there, sent once, then only moved."""
+class ClientScene:
+    """The scene in one browser: a node for each body that ever existed, sent once and then only moved."""
 
     def __init__(self, scene: SceneApi) -> None:
         self._scene = scene
         self._nodes: dict[int, SceneNodeHandle] = {}
         self._rows: dict[int, int] = {}
-        self._places = np.zeros((64, 7))
-        """Position and rotation of each body as the browser has them, in the rows of `_rows`."""
+        self._poses = np.zeros((64, 7))
+        """Position and rotation of each body as last sent, in the rows of `_rows`."""
         self._shown: set[int] = set()
         self._world = 0
 
@@ -34,14 +34,14 @@ class Stand:
         return len(self._nodes)
 
     def show(self, poses: Sequence[Pose]) -> int:
-        """Move the bodies there, and hide those that are not among them. Returns how many messages that took.
+        """Show the bodies at their poses and hide all others. Returns the number of messages sent.
 
-        To be called within `client.atomic()`, so that nobody sees half of it."""
+        To be called within `client.atomic()`, so that the update is drawn at once."""
         sent = 0
         for pose in poses:
             if pose.number not in self._nodes:
                 self._nodes[pose.number] = self._add(pose)
-                self._place(pose)
+                self._register(pose)
                 sent += 1
         sent += self._move(poses)
         there = {pose.number for pose in poses}
@@ -52,33 +52,33 @@ class Stand:
         return sent
 
     def clear(self) -> None:
-        """Take everything away: a world begins anew."""
+        """Remove all nodes."""
         for node in self._nodes.values():
             node.remove()
         self._nodes.clear()
         self._rows.clear()
         self._shown.clear()
-        self._world += 1  # names are never used twice, so no late message finds another body
+        self._world += 1  # names are never reused, so a late message cannot reach another body
 
-    def _place(self, pose: Pose) -> None:
-        """A row for a new body, which is sent where it is, and seen."""
+    def _register(self, pose: Pose) -> None:
+        """A row for a new body, whose node is visible and has its pose."""
         row = self._rows[pose.number] = len(self._rows)
-        if row == len(self._places):
-            self._places = np.concatenate([self._places, np.zeros_like(self._places)])
-        self._places[row] = *pose.position, *pose.quat_wxyz
+        if row == len(self._poses):
+            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
+        self._poses[row] = *pose.position, *pose.quat_wxyz
         self._shown.add(pose.number)
 
     def _move(self, poses: Sequence[Pose]) -> int:
-        """Send what has changed.
+        """Send the poses that have changed.
 
-        Not by the handles' own setters: each compares by `np.allclose` and takes 0.2 ms, 40 for 100 bodies."""
+        The setters of viser's handles compare by `np.allclose`, 0.2 ms each: 40 ms for 100 bodies."""
         from viser import _messages
 
         if not poses:
             return 0
         rows = [self._rows[pose.number] for pose in poses]
         now = np.concatenate([[p.position for p in poses], [p.quat_wxyz for p in poses]], axis=1)
-        changed = np.abs(now - self._places[rows]) > KEY_TOL
+        changed = np.abs(now - self._poses[rows]) > KEY_TOL
         sent = np.stack([changed[:, :3].any(axis=1), changed[:, 3:].any(axis=1)], axis=1)
         queue = self._scene._queue_scene_message
         for k in np.flatnonzero(sent.any(axis=1)).tolist():
@@ -87,13 +87,13 @@ class Stand:
                 queue(_messages.SetPositionMessage(name, (x, y, z)))
             if sent[k, 1]:
                 queue(_messages.SetOrientationMessage(name, (quat[0], quat[1], quat[2], quat[3])))
-        self._places[rows] = np.where(np.repeat(sent, (3, 4), axis=1), now, self._places[rows])
+        self._poses[rows] = np.where(np.repeat(sent, (3, 4), axis=1), now, self._poses[rows])
         return int(sent.sum())
 
     def _add(self, pose: Pose) -> SceneNodeHandle:
         name = f"/world{self._world}/{pose.number}_{pose.kind}"
         if pose.whole is not None and pose.whole.appearance is not None:
-            return self._add_painted(pose, name)
+            return self._add_textured(pose, name)
         node = None
         for look, vertices, faces in plain_surfaces(pose.mesh, pose.source, pose.whole, pose.kind):
             if node is not None:
@@ -105,8 +105,8 @@ class Stand:
         assert node is not None
         return node
 
-    def _add_painted(self, pose: Pose, name: str) -> SceneNodeHandle:
-        """With the paint of the user's file: slower, as each surface travels as glTF."""
+    def _add_textured(self, pose: Pose, name: str) -> SceneNodeHandle:
+        """With the appearance of the user's file: slower, since each surface is sent as glTF."""
         frame = self._scene.add_frame(name, show_axes=False, position=pose.position, wxyz=pose.quat_wxyz)
         for k, surface in enumerate(surfaces(pose.mesh, pose.source, whole=pose.whole)):
             add_surface(self._scene, surface, f"{name}/{k}_{surface.look}")
@@ -114,11 +114,10 @@ class Stand:
 
 
 def plain_surfaces(mesh: Mesh, source: Ints | None, whole: Shape | None, kind: str) -> list[tuple[str, Floats32, Ints]]:
-    """Key into COLOURS, vertices and faces of what a body without paint shows; the browser makes the normals.
+    """Surfaces of a body without an appearance: key into COLOURS, vertices and faces; the browser computes the normals.
 
-    What `export.surface.surfaces` says of each corner would take 10 ms a fragment, time that one would wait
-    between the blow and the first movement. Here corners of one vertex share it, unless a crease of the whole
-    parts the regions that their faces come from."""
+    `recording.surface.surfaces` would take 10 ms a fragment, a delay between the hit and the first movement. Here the
+    corners at a vertex share it, unless a crease of the whole separates their faces."""
     look = kind if kind in COLOURS else "outer"
     if whole is None:
         return [(look, mesh.vertices.astype(np.float32), mesh.faces)]
@@ -127,14 +126,14 @@ def plain_surfaces(mesh: Mesh, source: Ints | None, whole: Shape | None, kind: s
     parts = []
     if not cracked.all():
         region = _regions(whole)[source[~cracked]]
-        parts.append((look, *_shared(mesh, mesh.faces[~cracked], region)))
+        parts.append((look, *_split_vertices(mesh, mesh.faces[~cracked], region)))
     if cracked.any():
-        parts.append(("inner", *_shared(mesh, mesh.faces[cracked], np.zeros(int(cracked.sum()), np.int64))))
+        parts.append(("inner", *_split_vertices(mesh, mesh.faces[cracked], np.zeros(int(cracked.sum()), np.int64))))
     return parts
 
 
-def _shared(mesh: Mesh, faces: Ints, region: Ints) -> tuple[Floats32, Ints]:
-    """Vertices and faces of part of a mesh, a vertex for each region that meets there."""
+def _split_vertices(mesh: Mesh, faces: Ints, region: Ints) -> tuple[Floats32, Ints]:
+    """Vertices and faces of part of a mesh, each vertex once for every region that meets there."""
     corner = faces * (int(region.max()) + 1) + region[:, None]
     keys, faces = np.unique(corner, return_inverse=True)
     return mesh.vertices[keys // (int(region.max()) + 1)].astype(np.float32), faces.reshape(-1, 3)
@@ -142,7 +141,7 @@ def _shared(mesh: Mesh, faces: Ints, region: Ints) -> tuple[Floats32, Ints]:
 
 @lru_cache(maxsize=8)
 def _regions(shape: Shape) -> Ints:
-    """For each face the part of the surface, bounded by creases, that it belongs to, shape (m,)."""
+    """Smooth region of each face, bounded by creases, shape (m,)."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

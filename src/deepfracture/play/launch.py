@@ -1,4 +1,4 @@
-"""Where a ball starts so that it flies along a ray and soon meets what the ray points at."""
+"""Launches a ball along a ray, from just before what it will hit."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from numba import njit
 
 from deepfracture.geometry.kernels import offset
 from deepfracture.types import Floats, Mesh
-from deepfracture.world import GRAVITY, STEEL, Ball
+from deepfracture.world import GRAVITY, STEEL, Ball, as_vector
 
 LEAD_TIME = 0.035
-"""A ball starts so long before it meets something [s]: enough to see it come ..."""
+"""A ball starts this long before it hits something [s]: enough to see it come ..."""
 LEAD = 0.8
 """... and no farther from it than this [m]."""
-PAST = 2.0
-"""A ball that will miss everything starts this far before the point where it comes nearest to the middle [m]."""
-TOUCH = 1e-3
-"""Two surfaces so near to each other touch [m]."""
-MOST_STEPS = 300
-"""Of the march along a ray: one that grazes a surface comes near it ever more slowly."""
+MISS_LEAD = 2.0
+"""A ball that will miss everything starts this far before the point of its path nearest to the origin [m]."""
+CONTACT_TOL = 1e-3
+"""Surfaces nearer to each other are in contact [m]."""
+MAX_STEPS = 300
+"""Of the march along a ray, whose steps get ever shorter where it grazes a surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A body that may stand in a ball's way."""
+    """A body that may be in the way of a ball."""
 
     mesh: Mesh
     position: Floats
-    """Of its frame in the world [m], shape (3,)."""
-    turn: Floats
+    """Origin of the mesh frame in the world [m], shape (3,)."""
+    rotation: Floats
     """Rotation world_from_mesh, shape (3, 3)."""
 
 
@@ -47,58 +47,55 @@ def launch(
 ) -> Ball | None:
     """A steel ball on the ray from `origin` [m] along the unit vector `direction`, just before what it will hit.
 
-    None if the ray begins so near to something that the ball has no room there. `floor`: its height [m]."""
+    `speed` in m/s, `floor`: its height [m]. None if the ball has no room at the origin of the ray."""
     origin, direction = np.asarray(origin, float), np.asarray(direction, float)
     near = [body for body in obstacles if _near_ray(body, origin, direction, radius)]
     reach = _to_floor(origin, direction, radius, floor)
-    way = _march(near, origin, direction, radius, reach)
-    if way is None:
+    distance = _march(near, origin, direction, radius, reach)
+    if distance is None:
         return None
     lead = min(LEAD, LEAD_TIME * speed)
-    if np.isinf(way):  # nothing is hit: fly by where it can be seen
-        way, lead = max(float(-origin @ direction), 0.0), PAST
-    start = origin + max(way - lead, 0.0) * direction
-    # Thrown a little upwards, so that it is on the ray again when it arrives.
-    rise = gravity * min(lead, way) / speed / 2
+    if np.isinf(distance):  # nothing is hit: fly by in view
+        distance, lead = max(float(-origin @ direction), 0.0), MISS_LEAD
+    start = origin + max(distance - lead, 0.0) * direction
+    # Thrown slightly upwards, so that gravity brings it back to the ray at the hit.
+    rise = gravity * min(lead, distance) / speed / 2
     velocity = speed * direction + np.array([0.0, 0.0, rise])
-    return Ball(radius, STEEL, _vector(start), _vector(velocity))
-
-
-def _vector(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    return Ball(radius, STEEL, as_vector(start), as_vector(velocity))
 
 
 def _near_ray(body: Obstacle, origin: Floats, direction: Floats, radius: float) -> bool:
-    """Whether a ball on the ray may touch the sphere around a body."""
+    """Whether a ball on the ray may touch the bounding sphere of a body."""
     low, high = body.mesh.bounds
-    centre = body.position + body.turn @ ((low + high) / 2) - origin
+    centre = body.position + body.rotation @ ((low + high) / 2) - origin
     reach = float(np.linalg.norm(high - low)) / 2 + radius
     along = max(float(centre @ direction), 0.0)
     return bool(np.linalg.norm(centre - along * direction) <= reach)
 
 
 def _to_floor(origin: Floats, direction: Floats, radius: float, floor: float) -> float:
-    """How far a ball gets before it meets the floor; infinite if it never does."""
+    """Distance to the floor along the ray [m]; infinite if the ball never meets it."""
     if direction[2] >= 0:
         return np.inf
     return max(float(floor + radius - origin[2]) / float(direction[2]), 0.0)
 
 
 def _march(bodies: list[Obstacle], origin: Floats, direction: Floats, radius: float, reach: float) -> float | None:
-    """How far a ball gets before it touches anything (conservative advancement); None if it touches at once."""
-    local = [((origin - body.position) @ body.turn, direction @ body.turn, body.mesh.triangles) for body in bodies]
-    way = 0.0
-    for _ in range(MOST_STEPS):
-        free = min((_distance(t, o + way * d) for o, d, t in local), default=np.inf) - radius
-        if free < TOUCH:
-            return way if way > 0 else None
-        way += free
-        if way >= reach:
+    """Distance along the ray until the ball touches anything (sphere tracing: Hart 1996); None if it does at once."""
+    local = [
+        ((origin - body.position) @ body.rotation, direction @ body.rotation, body.mesh.triangles) for body in bodies
+    ]
+    travelled = 0.0
+    for _ in range(MAX_STEPS):
+        free = min((_distance(t, o + travelled * d) for o, d, t in local), default=np.inf) - radius
+        if free < CONTACT_TOL:
+            return travelled if travelled > 0 else None
+        travelled += free
+        if travelled >= reach:
             return reach
-        if np.isinf(way) or way > 1e3:
+        if np.isinf(travelled) or travelled > 1e3:
             return np.inf
-    return way
+    return travelled
 
 
 @njit(cache=True, nogil=True)

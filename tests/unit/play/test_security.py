@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from deepfracture.play import Options
-from deepfracture.play.guard import forbid_sharing, limit_uploads, stranger
+from deepfracture.play.security import forbid_sharing, limit_uploads, rejection_reason
 from deepfracture.types import BadInput
 
 
@@ -40,7 +40,7 @@ def test_other_web_sites_are_strangers(server, headers, strange):
     connections = server._websock_server._live_connections
     connections[77] = SimpleNamespace(request=SimpleNamespace(headers=headers))
     try:
-        assert bool(stranger(server, SimpleNamespace(client_id=77))) == strange
+        assert bool(rejection_reason(server, SimpleNamespace(client_id=77))) == strange
     finally:
         del connections[77]
 
