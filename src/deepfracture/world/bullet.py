@@ -74,7 +74,7 @@ class Bullet:
         self._restitution = float(np.sqrt(contact.restitution))
         self._frames: dict[int, _Frame] = {}
         self._ids: dict[int, int] = {}
-        """Bullet's number of each body; Bullet gives a number again once its body is gone, we do not."""
+        """Bullet's number of each body; Bullet reuses the numbers of removed bodies, the seam does not."""
         self._bodies: dict[int, int] = {}
         self._opened = ExitStack()
         self._folder = self._opened.enter_context(scratch_folder())
