@@ -20,7 +20,7 @@ from harness import DATA, MISSES, ROOT, SPEEDS, row_of_axes, save_figure, shape_
 from deepfracture.breakers import BreakerOptions, make_breaker
 from deepfracture.fracture import material
 from deepfracture.geometry import MassProperties
-from deepfracture.geometry.convex.hulls import Hulls, piece_hulls
+from deepfracture.geometry.convex.hulls import Hulls, fragment_hulls
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.learn import embedded_model
 from deepfracture.types import BadInput, ContactMaterial, Floats, Fragments, Grid, Material, Shape
@@ -110,10 +110,10 @@ def hulls_table(breaks: list[Break]) -> str:
     """Hulls, their volumes, and how long it takes to put them in."""
     rows = []
     for one in breaks:
-        hulls = piece_hulls([piece.mesh for piece in one.fragments])
+        hulls = fragment_hulls([piece.mesh for piece in one.fragments])
         excess = np.array([hull.excess for hull in hulls])
         share = 50 / len(hulls)
-        own = best(lambda one=one: piece_hulls([piece.mesh for piece in one.fragments]))
+        own = best(lambda one=one: fragment_hulls([piece.mesh for piece in one.fragments]))
         add = best(lambda one=one, hulls=hulls: at_rest("rapier", one.fragments, hulls, []))
         faces = sum(len(piece.mesh.faces) for piece in one.fragments)
         rows.append(
@@ -134,7 +134,7 @@ def motion_table(breaks: list[Break], made_of: Material, engines: list[str]) -> 
     """Momentum over the swap, and the jump from overlap alone, by engine."""
     rows = []
     for one in breaks:
-        hulls = piece_hulls([piece.mesh for piece in one.fragments])
+        hulls = fragment_hulls([piece.mesh for piece in one.fragments])
         for engine in engines:
             hit, begin, swapped = swapped_motions(one, made_of, engine)
             (p, about, _), (q, then, _) = momentum(begin), momentum(swapped)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from deepfracture.geometry import builtin, check_solid, normalise
-from deepfracture.geometry.solids import blocks
+from deepfracture.geometry.solids import union_of_boxes
 from deepfracture.types import Floats, Ints, Mesh, Shape
 
 MANY = 500_000
@@ -64,7 +64,7 @@ def thin_legs() -> Shape:
     up = np.concatenate([np.linspace(0, 1.8, 24), np.linspace(1.8, 2.0, 4)[1:]])
     feet = [(x, y) for x in (-0.5, 0.5 - LEG) for y in (-0.5, 0.5 - LEG)]
     legs = [((x, y, 0), (x + LEG, y + LEG, 1.8)) for x, y in feet]
-    return normalise(blocks([across, across, up], [*legs, ((-0.5, -0.5, 1.8), (0.5, 0.5, 2.0))]), "thin_legs")
+    return normalise(union_of_boxes([across, across, up], [*legs, ((-0.5, -0.5, 1.8), (0.5, 0.5, 2.0))]), "thin_legs")
 
 
 DEGENERATE: dict[str, Callable[[], Shape]] = {

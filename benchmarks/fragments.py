@@ -31,7 +31,7 @@ from deepfracture.carve import cut, encode, segment, voronoi_pattern
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.fracture import material
 from deepfracture.geometry import BUILTIN, load_shape, signed_distance
-from deepfracture.geometry.untangle import crossing_faces
+from deepfracture.geometry.untangle import self_intersecting_faces
 from deepfracture.learn import PartitionModel, embedded_model, load_partition_model
 from deepfracture.runtime.files import atomic_file
 from deepfracture.runtime.progress import log, track
@@ -206,7 +206,7 @@ def shapes_by_name(data: Path) -> dict[str, Callable[[], tuple[Shape, str]]]:
             shape = load_shape(str(path))
         except BadInput:
             return load_shape(str(path), repair=True), "repaired"
-        if len(crossing_faces(shape.mesh)):  # as the warning says that it is to be done
+        if len(self_intersecting_faces(shape.mesh)):  # as the warning says that it is to be done
             return load_shape(str(path), repair=True), "repaired"
         return shape, "closed"
 

@@ -26,7 +26,7 @@ from harness import DATA, ROOT, SPEEDS, kept, mesh_files, start, table, throw, w
 from deepfracture.carve import cut
 from deepfracture.carve.cutting.cut import SMALLEST_VOXELS
 from deepfracture.fracture import FractureBody, material, prepare_body, simulate
-from deepfracture.geometry import BUILTIN, faults, load_shape, signed_distance
+from deepfracture.geometry import BUILTIN, load_shape, mesh_defects, signed_distance
 from deepfracture.geometry.topology import split_pinches
 from deepfracture.runtime.parallel import ONE_THREAD
 from deepfracture.runtime.progress import log, track
@@ -162,7 +162,7 @@ def pattern_failures(pattern: FracturePattern, inside: np.ndarray) -> list[str]:
 def fragment_failures(shape: Shape, pattern: FracturePattern, pieces: Fragments) -> list[str]:
     """What is wrong with the fragments that were cut out of a shape along a pattern."""
     error = abs(pieces.volume / shape.mesh.volume - 1)
-    torn = [n for n, piece in enumerate(pieces) if not faults(piece.mesh).closed]
+    torn = [n for n, piece in enumerate(pieces) if not mesh_defects(piece.mesh).closed]
     pinched = [n for n, p in enumerate(pieces) if len(split_pinches(p.mesh).vertices) != len(np.unique(p.mesh.faces))]
     void = [n for n, piece in enumerate(pieces) if not piece.volume > 0]
     whole = pattern.count - _specks(np.bincount(pattern.labels.ravel())[1:])

@@ -23,7 +23,7 @@ from deepfracture.carve import encode, segment, segment_as_published
 from deepfracture.compare import variation_of_information
 from deepfracture.dataset import Dataset, open_dataset
 from deepfracture.fracture import material, prepare_body, simulate
-from deepfracture.geometry import distance_to_samples, signed_distance
+from deepfracture.geometry import distance_to_oriented_points, signed_distance
 from deepfracture.runtime.progress import log, track
 from deepfracture.types import BadInput, Floats, Floats32, FracturePattern, Grid, Labels, Shape, Volume
 
@@ -104,7 +104,7 @@ def of_labels(name: str, shape: Shape, labels: Labels) -> Iterator[list[str]]:
     points, normals = cracks_of(labels, fine)
     for grid, own in ((fine, labels), (Grid(64), halved(labels))):
         surface = signed_distance(shape.mesh, grid)
-        distance = distance_to_samples(grid, points, normals)
+        distance = distance_to_oriented_points(grid, points, normals)
         pattern = FracturePattern(grid, np.where(surface > 0, own, 0), distance)
         yield from report(name, grid.resolution, [trips(pattern, surface)])
 

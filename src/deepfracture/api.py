@@ -33,7 +33,7 @@ from deepfracture.breakers.options import RENAMED
 from deepfracture.dataset.options import SimulateOptions
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset_material
-from deepfracture.geometry import closest, load_shape
+from deepfracture.geometry import closest_points, load_shape
 from deepfracture.learn.options import TrainOptions
 from deepfracture.runtime.options import with_changes
 from deepfracture.types import BadInput, Breaker, Floats, Fragments, Impact, Material, Recording, Shape
@@ -138,7 +138,7 @@ def hit(
     """
     points = _rows("point", point)
     if direction is None:
-        near = closest(shape.mesh, points)
+        near = closest_points(shape.mesh, points)
         places, normals = near.points, _normals(shape, near.faces)
         along = -normals
     else:

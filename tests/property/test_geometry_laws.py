@@ -12,7 +12,7 @@ from deepfracture.geometry import (
     signed_distance_lattice,
     signed_distance_points,
 )
-from deepfracture.geometry.orient import oriented
+from deepfracture.geometry.orient import orient
 from deepfracture.geometry.topology import compact
 from deepfracture.types import Mesh
 
@@ -23,7 +23,7 @@ def hull(seed, count=20):
     """A random convex solid and its half spaces."""
     points = np.random.default_rng(seed).normal(size=(count, 3))
     made = ConvexHull(points)
-    return check_solid(oriented(compact(points, made.simplices.astype(np.int64))), "hull"), made.equations
+    return check_solid(orient(compact(points, made.simplices.astype(np.int64))), "hull"), made.equations
 
 
 @settings(max_examples=25, deadline=None)
@@ -58,7 +58,7 @@ def test_rays_through_vertices_and_edges_of_integer_solids(seed):
     points = np.random.default_rng(seed).integers(-3, 4, (12, 3)).astype(float)
     points = np.concatenate([points, 4 * np.vstack([np.eye(3), -np.eye(3)])])
     made = ConvexHull(points)
-    mesh = check_solid(oriented(compact(points, made.simplices.astype(np.int64))), "hull")
+    mesh = check_solid(orient(compact(points, made.simplices.astype(np.int64))), "hull")
     values = signed_distance_lattice(mesh, (-5, -5, -5), 1.0, (11, 11, 11))
     axis = np.arange(-5, 6)
     lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import deepfracture as df
-from deepfracture.geometry import closest, signed_distance_points
+from deepfracture.geometry import closest_points, signed_distance_points
 from deepfracture.world import Outcome, load_scene
 
 CUBE = """v 0 0 0
@@ -107,7 +107,7 @@ def test_hit_follows_the_ray_to_where_it_first_enters(pot: df.Shape) -> None:
 
 def test_hit_without_a_direction_falls_on_the_nearest_place_straight_in(pot: df.Shape) -> None:
     blow = df.hit(pot, (1, 0.2, 0.3), impulse=100, speed=5)
-    assert blow.position == pytest.approx(closest(pot.mesh, np.array([[1, 0.2, 0.3]])).points)
+    assert blow.position == pytest.approx(closest_points(pot.mesh, np.array([[1, 0.2, 0.3]])).points)
     assert blow.direction == pytest.approx(-blow.normal)
 
 

@@ -334,12 +334,12 @@ def test_fragments_at_rest_stay_at_rest(engine: str, name: str) -> None:
     shape = builtin(name)
     pieces = _pieces(shape.mesh, _planes(np.random.default_rng(3), 5, 0.3))
     assert len(pieces) > 8
-    from deepfracture.geometry.convex.hulls import piece_hulls
+    from deepfracture.geometry.convex.hulls import fragment_hulls
 
     world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     bodies = [
         world.add_body(hulls.points, MassProperties(piece.mass, piece.centre, piece.inertia), _still())
-        for piece, hulls in zip(pieces, piece_hulls([p.mesh for p in pieces]), strict=True)
+        for piece, hulls in zip(pieces, fragment_hulls([p.mesh for p in pieces]), strict=True)
     ]
     energy = 0.0
     for _ in range(120):
@@ -416,7 +416,7 @@ def test_fragments_with_rough_cracks_do_not_jump(engine: str) -> None:
     """Wavy cracks: the hulls of neighbours would overlap by centimetres. At rest, none gains more than 2 % of
     the kinetic energy that it would have at 1 m/s."""
     from deepfracture.carve import cut
-    from deepfracture.geometry.convex.hulls import piece_hulls
+    from deepfracture.geometry.convex.hulls import fragment_hulls
     from deepfracture.types import FracturePattern, Grid
 
     shape, grid = builtin("bar"), Grid(64)
@@ -428,7 +428,7 @@ def test_fragments_with_rough_cracks_do_not_jump(engine: str) -> None:
     world = open_engine(engine, gravity=0.0, contact=ContactMaterial(0.5, 0.2))
     bodies = [
         world.add_body(hulls.points, MassProperties(piece.mass, piece.centre, piece.inertia), _still())
-        for piece, hulls in zip(pieces, piece_hulls([p.mesh for p in pieces]), strict=True)
+        for piece, hulls in zip(pieces, fragment_hulls([p.mesh for p in pieces]), strict=True)
     ]
     for _ in range(10):
         world.step(1 / 240)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from deepfracture.geometry.sampled import FAR
+from deepfracture.geometry.oriented_points import FAR
 from deepfracture.types import BadInput, FracturePattern, Grid
 from deepfracture.voxels import connected_labels
 

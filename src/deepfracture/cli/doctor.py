@@ -87,7 +87,7 @@ def machine() -> Iterator[str]:
 
 def kernels() -> tuple[int, int]:
     """Source files whose kernels are in Numba's cache, and all source files with cached kernels."""
-    from deepfracture.geometry import kernels as some
+    from deepfracture.geometry import aabb_tree as some
 
     package = Path(deepfracture.__file__).parent
     sources = [path for path in package.rglob("*.py") if re.search(r"^@njit\(.*cache=True", path.read_text(), re.M)]

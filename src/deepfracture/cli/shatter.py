@@ -16,7 +16,7 @@ from deepfracture.cli.options import ThrowOptions
 from deepfracture.export import check_formats, write_formats
 from deepfracture.fracture import critical_stress
 from deepfracture.fracture import material as preset
-from deepfracture.geometry import faults
+from deepfracture.geometry import mesh_defects
 from deepfracture.runtime.files import atomic_contents
 from deepfracture.runtime.lock import exclusive
 from deepfracture.runtime.progress import Stage, collect_stages, log, stage
@@ -111,7 +111,7 @@ def _report(
     if main.fragments is not None:
         cubed = main.shape.scale**3  # volumes in the user's units
         report["fragments"] = [
-            {"volume": piece.volume * cubed, "mass": piece.mass, "closed": faults(piece.mesh).closed}
+            {"volume": piece.volume * cubed, "mass": piece.mass, "closed": mesh_defects(piece.mesh).closed}
             for piece in main.fragments
         ]
         report["volume_error"] = abs(main.fragments.volume / main.shape.mesh.volume - 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from deepfracture.carve import cut
 from deepfracture.fracture import FragmentSimulator
-from deepfracture.geometry import closest, signed_distance_points
+from deepfracture.geometry import closest_points, signed_distance_points
 from deepfracture.types import FracturePattern, Fragment, Fragments, Impact, Material, Mesh, Shape
 from deepfracture.world import Outcome, Scene
 from deepfracture.world import simulate as run_world
@@ -92,7 +92,7 @@ def voxelize(fragments: list[Fragment], whole: FracturePattern) -> FracturePatte
     assert np.isfinite(depth).all()
     labels, distance = np.zeros(grid.shape, np.int32), np.zeros(grid.shape, np.float32)
     labels[tuple(voxels.T)] = np.unique(owner, return_inverse=True)[1].reshape(-1) + 1
-    distance[tuple(voxels.T)] = closest(_crack_surfaces(fragments), centres).distance
+    distance[tuple(voxels.T)] = closest_points(_crack_surfaces(fragments), centres).distance
     return FracturePattern(grid, labels, distance)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepfracture.export.wavefront import write_library, write_obj
-from deepfracture.geometry.appearance import carried
+from deepfracture.geometry.appearance import fragment_appearance
 from deepfracture.recording.surface import COLOURS, painted
 from deepfracture.runtime.files import atomic_folder
 from deepfracture.types import Appearance, Floats, Fragment, Fragments, Shape
@@ -29,7 +29,7 @@ def write_fragments(fragments: Fragments, shape: Shape, folder: str | os.PathLik
     paint = painted(shape)
     with atomic_folder(folder) as temporary:
         for name, piece in zip(names, fragments, strict=True):
-            look = carried(paint, shape.mesh, piece.mesh, piece.source)
+            look = fragment_appearance(paint, shape.mesh, piece.mesh, piece.source)
             (temporary / f"{name}.ply").write_bytes(_ply(piece, shape, look))
             if shape.appearance is not None:
                 write_obj(temporary / f"{name}.obj", piece, shape, look)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.geometry import closest
+from deepfracture.geometry import closest_points
 from deepfracture.types import BadInput, Floats, Impact, Material, Mesh
 
 STEEL_YOUNG = 210e9
@@ -112,7 +112,7 @@ def _force_fractions(mesh: Mesh, position: Floats, normal: Floats, radius: float
     facing = np.flatnonzero(area_vectors @ normal > 0)
     if not len(facing):
         raise BadInput(f"no triangle faces the contact normal {normal}; is it the outward normal?")
-    near = closest(Mesh(mesh.vertices, mesh.faces[facing]), position[None])
+    near = closest_points(Mesh(mesh.vertices, mesh.faces[facing]), position[None])
     centre, nearest = near.points[0], facing[int(near.faces[0])]
     areas = np.linalg.norm(area_vectors, axis=1)
     radius = max(radius, MIN_PATCH * float(areas[nearest]) ** 0.5)

@@ -24,7 +24,7 @@ from deepfracture.fracture.mechanisms import Mechanisms
 from deepfracture.fracture.padded_grid import MARGIN
 from deepfracture.fracture.stress import LoadPulse, StressState
 from deepfracture.fracture.variation import Variation
-from deepfracture.geometry import distance_to_samples
+from deepfracture.geometry import distance_to_oriented_points
 from deepfracture.runtime.progress import stage
 from deepfracture.types import Floats, FracturePattern, Impact
 
@@ -89,5 +89,5 @@ def _pattern(body: FractureBody, cut: np.ndarray, faces: Floats) -> FracturePatt
     where = index[separates] + np.eye(3)[axis[separates]] * faces[separates, 4, None]
     points = body.fine.first_centre + body.fine.spacing * where
     inner = (slice(MARGIN, -MARGIN),) * 3
-    distance = distance_to_samples(body.grid, points, faces[separates, 5:])
+    distance = distance_to_oriented_points(body.grid, points, faces[separates, 5:])
     return FracturePattern(body.grid, labels[inner], distance)

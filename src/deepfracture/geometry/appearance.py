@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from deepfracture.geometry.distance import closest
+from deepfracture.geometry.distance import closest_points
 from deepfracture.types import Appearance, Finish, Floats, Floats32, Ints, Mesh
 
 INNER = Finish("inner", (232, 186, 150))
@@ -22,7 +22,7 @@ ON_SURFACE = 1e-5
 """Share of the box diagonal within which a corner lies on the surface it is said to lie on."""
 
 
-def carried(appearance: Appearance, whole: Mesh, mesh: Mesh, source: Ints) -> Appearance:
+def fragment_appearance(appearance: Appearance, whole: Mesh, mesh: Mesh, source: Ints) -> Appearance:
     """The appearance of a fragment of `whole`.
 
     Outer faces have at each corner what the whole has there. Crack faces are painted with one more finish, INNER,
@@ -34,7 +34,7 @@ def carried(appearance: Appearance, whole: Mesh, mesh: Mesh, source: Ints) -> Ap
         source: As in `Fragment`, shape (m,).
     """
     outer = np.flatnonzero(source >= 0)
-    part = interpolated(appearance, whole, mesh.vertices[mesh.faces[outer]], source[outer])
+    part = interpolate_appearance(appearance, whole, mesh.vertices[mesh.faces[outer]], source[outer])
     finish = np.full(len(source), len(appearance.finishes), np.int32)
     finish[outer] = part.finish
     uv = planar_uv(mesh, source < 0)
@@ -52,19 +52,19 @@ def carried(appearance: Appearance, whole: Mesh, mesh: Mesh, source: Ints) -> Ap
     return Appearance(finish, (*appearance.finishes, INNER), normals, uv, colours)
 
 
-def interpolated(appearance: Appearance, whole: Mesh, triangles: Floats, source: Ints) -> Appearance:
+def interpolate_appearance(appearance: Appearance, whole: Mesh, triangles: Floats, source: Ints) -> Appearance:
     """The appearance of triangles (k, 3, 3) that lie in the faces `source` (k,) of `whole`."""
     shares = barycentric(whole.vertices[whole.faces[source]], triangles)
     normals = uv = colours = None
     if appearance.normals is not None:
-        normals = _mixed(shares, appearance.normals, source)
+        normals = _interpolate(shares, appearance.normals, source)
         lost = np.flatnonzero((np.einsum("kni,kni->kn", normals, normals) < 1e-12).any(axis=1))
         normals[lost] = _area_vectors(whole.vertices[whole.faces[source[lost]]])[:, None]  # opposite ones cancelled
         normals = _unit(normals).astype(np.float32)
     if appearance.uv is not None:
-        uv = _mixed(shares, appearance.uv, source).astype(np.float32)
+        uv = _interpolate(shares, appearance.uv, source).astype(np.float32)
     if appearance.colours is not None:
-        colours = np.rint(_mixed(shares, appearance.colours, source)).astype(np.uint8)
+        colours = np.rint(_interpolate(shares, appearance.colours, source)).astype(np.uint8)
     return replace(appearance, finish=appearance.finish[source], normals=normals, uv=uv, colours=colours)
 
 
@@ -73,7 +73,7 @@ def barycentric(triangles: Floats, points: Floats) -> Floats:
 
     Points off the triangle by rounding are taken back into it. A triangle without area counts as its longest side."""
     shares = np.empty((*points.shape[:2], 3))
-    _fill_shares(np.ascontiguousarray(triangles), np.ascontiguousarray(points), shares)
+    _fill_barycentric(np.ascontiguousarray(triangles), np.ascontiguousarray(points), shares)
     return shares
 
 
@@ -83,22 +83,22 @@ def _dot(a, b):  # pragma: no cover
 
 
 @njit(cache=True, inline="always")
-def _from(a, b):  # pragma: no cover
+def _sub(a, b):  # pragma: no cover
     return b[0] - a[0], b[1] - a[1], b[2] - a[2]
 
 
 @njit(cache=True, nogil=True)
-def _fill_shares(triangles, points, shares):  # pragma: no cover
+def _fill_barycentric(triangles, points, shares):  # pragma: no cover
     for t in range(len(triangles)):
         a = triangles[t, 0]
-        u, v = _from(a, triangles[t, 1]), _from(a, triangles[t, 2])
+        u, v = _sub(a, triangles[t, 1]), _sub(a, triangles[t, 2])
         # Ericson 2005, Real-Time Collision Detection, 3.4
         uu, uv, vv = _dot(u, u), _dot(u, v), _dot(v, v)
         square = uu * vv - uv * uv
         longest = max(uu, vv, uu + vv - 2 * uv)
         flat = square <= FLAT * longest * longest
         for n in range(points.shape[1]):
-            p = _from(a, points[t, n])
+            p = _sub(a, points[t, n])
             pu, pv = _dot(p, u), _dot(p, v)
             if not flat:
                 second, third = (vv * pu - uv * pv) / square, (uu * pv - uv * pu) / square
@@ -131,37 +131,37 @@ def planar_uv(mesh: Mesh, faces: NDArray[np.bool_]) -> Floats32:
     return uv
 
 
-def followed(appearance: Appearance, before: Mesh, after: Mesh) -> tuple[Appearance, int]:
+def transfer_appearance(appearance: Appearance, before: Mesh, after: Mesh) -> tuple[Appearance, int]:
     """The appearance of `after`, a cleaned or repaired `before`; and how many of its faces are new.
 
     A face with the corners of an old one, in whatever order, has just what that had; normals point outward. Any other
     has what the surface has nearest to it; where it leaves that surface, its normals are its own."""
-    old = _match(before, after)
+    old = _matching_faces(before, after)
     lost = np.flatnonzero(old < 0)
     if len(lost):
-        old[lost] = closest(before, after.triangles[lost].mean(axis=1)).faces
+        old[lost] = closest_points(before, after.triangles[lost].mean(axis=1)).faces
     limit = ON_SURFACE * np.linalg.norm(np.ptp(before.bounds, axis=0))
-    moved = _corners_apart(before.triangles[old[lost]], after.triangles[lost]) > limit
+    moved = _corner_distances(before.triangles[old[lost]], after.triangles[lost]) > limit
     lost = lost[moved]  # the others were only welded
-    look = interpolated(appearance, before, after.triangles, old)
+    look = interpolate_appearance(appearance, before, after.triangles, old)
     if look.normals is None:
         return look, len(lost)
     flat = _unit(after.area_vectors)
     inward = np.einsum("mki,mi->m", look.normals, flat) < 0
     normals = np.where(inward[:, None, None], -look.normals, look.normals)
-    off = closest(before, after.triangles[lost].reshape(-1, 3)).distance.reshape(-1, 3).max(axis=1)
+    off = closest_points(before, after.triangles[lost].reshape(-1, 3)).distance.reshape(-1, 3).max(axis=1)
     strays = lost[off > limit]
     normals[strays] = flat[strays, None]
     return replace(look, normals=normals), len(lost)
 
 
-def _corners_apart(one: Floats, other: Floats) -> Floats:
+def _corner_distances(one: Floats, other: Floats) -> Floats:
     """How far the corners of triangles (k, 3, 3) are from the nearest of others', at most, shape (k,)."""
     apart = np.linalg.norm(one[:, :, None] - other[:, None], axis=-1)
     return apart.min(axis=1).max(axis=1)
 
 
-def _match(before: Mesh, after: Mesh) -> Ints:
+def _matching_faces(before: Mesh, after: Mesh) -> Ints:
     """For each face of `after` the first of `before` with the same corners, -1 if there is none."""
     places = np.concatenate([before.vertices, after.vertices]) + 0.0  # -0 and 0 are one place
     point = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
@@ -175,15 +175,15 @@ def _match(before: Mesh, after: Mesh) -> Ints:
     return np.where(old < len(before.faces), old, -1)
 
 
-def _mixed(shares: Floats, values: NDArray, source: Ints) -> Floats:
+def _interpolate(shares: Floats, values: NDArray, source: Ints) -> Floats:
     """Corner values (m, 3, c) of the triangles `source` (k,) in shares (k, n, 3), shape (k, n, c)."""
     mixed = np.empty((*shares.shape[:2], values.shape[2]))
-    _mix(shares, values, source, mixed)
+    _fill_interpolated(shares, values, source, mixed)
     return mixed
 
 
 @njit(cache=True, nogil=True)
-def _mix(shares, values, source, mixed):  # pragma: no cover
+def _fill_interpolated(shares, values, source, mixed):  # pragma: no cover
     for t in range(len(source)):
         old = values[source[t]]
         for n in range(shares.shape[1]):

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from deepfracture.geometry.collapse import collapse_short
+from deepfracture.geometry.collapse import collapse_short_edges
 from deepfracture.geometry.normalise import normalise
-from deepfracture.geometry.solids import blocks, box, fillet, sampled, slab, spline, tube, turned, united
+from deepfracture.geometry.read import read_mesh
+from deepfracture.geometry.solids import (
+    box,
+    extruded_quads,
+    fillet,
+    resample,
+    revolve,
+    spline,
+    tube,
+    union,
+    union_of_boxes,
+)
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Floats, Mesh, Shape
 
@@ -58,17 +70,17 @@ def _pot() -> Mesh:
             (0.52, 2.06),
         ]
     )
-    return turned(_vessel(_rounded_foot(outside, 0.04), 0.19, 0.21, 0.14), 0.047)
+    return revolve(_vessel(_rounded_foot(outside, 0.04), 0.19, 0.21, 0.14), 0.047)
 
 
 def _bowl() -> Mesh:
     outside = spline([(0.44, 0.0), (0.43, 0.09), (0.62, 0.22), (0.86, 0.5), (0.97, 0.8)])
-    return turned(_vessel(_rounded_foot(outside, 0.03), WALL, 0.24, 0.1), 0.047)
+    return revolve(_vessel(_rounded_foot(outside, 0.03), WALL, 0.24, 0.1), 0.047)
 
 
 def _plate() -> Mesh:
     outside = spline([(0.56, 0.0), (0.62, 0.015), (0.75, 0.09), (0.96, 0.15)])
-    return turned(_vessel(outside, WALL, WALL, 0.02), 0.047)
+    return revolve(_vessel(outside, WALL, WALL, 0.02), 0.047)
 
 
 def _base() -> Mesh:
@@ -78,19 +90,19 @@ def _base() -> Mesh:
     top = [(0.9, 0.96), (0.9, 1.16)]
     pieces = [np.array(corners[:2]), np.array(corners[1:]), fillet(corners[2], (0.99, 0.34), waist[0]), waist]
     pieces += [fillet(waist[-1], (0.76, 0.95), top[0]), np.array(top), np.array([top[1], (0.0, 1.16)])]
-    return turned([np.asarray(piece, float) for piece in pieces], 0.06)
+    return revolve([np.asarray(piece, float) for piece in pieces], 0.06)
 
 
 def _mug() -> Mesh:
     radius, height = 0.62, 1.5
-    outside = _rounded_foot(sampled([(radius, 0), (radius, height - WALL / 2)], 0.01), 0.06)
-    body = turned(_vessel(outside, WALL, 0.2, 0.1), 0.05)
+    outside = _rounded_foot(resample([(radius, 0), (radius, height - WALL / 2)], 0.01), 0.06)
+    body = revolve(_vessel(outside, WALL, 0.2, 0.1), 0.05)
     angle = np.linspace(-0.5, 0.5, 200) * np.pi * 1.1
     middle = radius - 0.03
     path = np.column_stack([middle + 0.5 * np.cos(angle), 0 * angle, 0.76 + 0.46 * np.sin(angle)])
     # Both ends lie within the wall, so the handle does not show inside.
     handle = tube(path, (0, 1, 0), (0.2, 0.25), 0.05)
-    return collapse_short(united([body, handle]), 0.018)
+    return collapse_short_edges(union([body, handle]), 0.018)
 
 
 def _bar() -> Mesh:
@@ -117,7 +129,7 @@ def _letter_a() -> Mesh:
         ([(0.0, low), inner(low), inner(high), (0.0, high)], 3, 4),
     ]
     other = [([(-p[0], p[1]) for p in (q[1], q[0], q[3], q[2])], nu, nv) for q, nu, nv in half]
-    return slab([*half, *other], 0.44, 5)
+    return extruded_quads([*half, *other], 0.44, 5)
 
 
 def _chair() -> Mesh:
@@ -138,15 +150,11 @@ def _chair() -> Mesh:
     parts += [((-half, -half, seat), (half, half, seat + thick))]
     parts += [((x, half - leg, seat), (x + leg, half, top)) for x in (-half, half - leg)]
     parts += [((-half, half - leg, 1.66), (half, half, top)), ((-half, half - leg, seat), (half, half, 1.36))]
-    return blocks([across, across, up], parts)
+    return union_of_boxes([across, across, up], parts)
 
 
 def _bunny() -> Mesh:
     """The Stanford bunny (902 triangles; its licence lies beside it), turned so that z is up."""
-    from pathlib import Path
-
-    from deepfracture.geometry.read import read_mesh
-
     mesh = read_mesh(Path(__file__).parent / "shapes" / "bunny.obj")
     return Mesh(mesh.vertices[:, [0, 2, 1]] * [1, -1, 1], mesh.faces)
 

@@ -11,17 +11,17 @@ from deepfracture.types import Floats, Ints, Mesh
 PASSES = 30
 """Rounds of collapses, at most."""
 
-TURN = 0.3
+MIN_COSINE = 0.3
 """Least cosine of the angle by which a collapse may turn a face."""
 
-SHAPE = 0.3
+GOOD_QUALITY = 0.3
 """Shape of a triangle (1 equilateral, 0 sliver) that a collapse may always make."""
 
-NEEDLE = 0.03
+SLIVER_QUALITY = 0.03
 """Shape below which a triangle may turn as it likes."""
 
 
-def collapse_short(mesh: Mesh, length: float) -> Mesh:
+def collapse_short_edges(mesh: Mesh, length: float) -> Mesh:
     """The closed mesh without edges shorter than `length`, as far as its topology and the sense of its
     faces allow. Each collapse moves vertices by less than `length`."""
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
@@ -56,14 +56,14 @@ def _collapse(vertices: Floats, faces: Ints, short: Ints, at: Ints, first: Ints,
             for s in range(first[end], first[end + 1]):
                 for v in faces[at[s]]:
                     free = free and not busy[v]
-        if not free or not _may_join(faces, at, first, a, b, mark, e):
+        if not free or not _link_condition(faces, at, first, a, b, mark, e):
             continue
         best, choice = -1.0, -1
         middle = (vertices[a] + vertices[b]) / 2
         for option in range(3):
             place = vertices[a] if option == 0 else vertices[b] if option == 1 else middle
-            one = _shape(vertices, faces, at, first, a, b, place)
-            other = _shape(vertices, faces, at, first, b, a, place)
+            one = _worst_quality(vertices, faces, at, first, a, b, place)
+            other = _worst_quality(vertices, faces, at, first, b, a, place)
             if min(one, other) > best:
                 best, choice = min(one, other), option
         if choice < 0:
@@ -80,7 +80,7 @@ def _collapse(vertices: Floats, faces: Ints, short: Ints, at: Ints, first: Ints,
 
 
 @njit(cache=True)
-def _may_join(faces: Ints, at: Ints, first: Ints, a: int, b: int, mark: Ints, stamp: int):  # pragma: no cover
+def _link_condition(faces: Ints, at: Ints, first: Ints, a: int, b: int, mark: Ints, stamp: int):  # pragma: no cover
     """The link condition: only the two vertices opposite edge ab neighbour both of its ends.
     mark: scratch that never held `stamp` at a neighbour of a."""
     for s in range(first[a], first[a + 1]):
@@ -99,7 +99,9 @@ def _may_join(faces: Ints, at: Ints, first: Ints, a: int, b: int, mark: Ints, st
 
 
 @njit(cache=True)
-def _shape(vertices: Floats, faces: Ints, at: Ints, first: Ints, a: int, b: int, place: Floats):  # pragma: no cover
+def _worst_quality(
+    vertices: Floats, faces: Ints, at: Ints, first: Ints, a: int, b: int, place: Floats
+):  # pragma: no cover
     """Worst shape (1 equilateral, 0 sliver) of the faces at a, but not b, once a moves to place.
     Negative when a face turns too far, or becomes a worse sliver than any of them was."""
     worst, worst_before = 1.0, 1.0
@@ -111,19 +113,19 @@ def _shape(vertices: Floats, faces: Ints, at: Ints, first: Ints, a: int, b: int,
         for corner in range(3):
             corners[corner] = vertices[face[corner]]
             moved[corner] = place if face[corner] == a else corners[corner]
-        before, after = _normal(corners), _normal(moved)
+        before, after = _double_area_vector(corners), _double_area_vector(moved)
         area_before, area = np.sqrt((before * before).sum()), np.sqrt((after * after).sum())
-        shape = 2 * np.sqrt(3.0) * area_before / max(_squares(corners), 1e-300)
+        shape = 2 * np.sqrt(3.0) * area_before / max(_sum_of_squares(corners), 1e-300)
         # The normal of a sliver says nothing.
-        if shape > NEEDLE and (before * after).sum() <= TURN * area_before * area:
+        if shape > SLIVER_QUALITY and (before * after).sum() <= MIN_COSINE * area_before * area:
             return -1.0
         worst_before = min(worst_before, shape)
-        worst = min(worst, 2 * np.sqrt(3.0) * area / max(_squares(moved), 1e-300))
-    return worst if worst > min(worst_before, SHAPE) else -1.0
+        worst = min(worst, 2 * np.sqrt(3.0) * area / max(_sum_of_squares(moved), 1e-300))
+    return worst if worst > min(worst_before, GOOD_QUALITY) else -1.0
 
 
 @njit(cache=True)
-def _squares(p: Floats) -> float:  # pragma: no cover
+def _sum_of_squares(p: Floats) -> float:  # pragma: no cover
     """Sum of the squared sides of a triangle (3, 3)."""
     total = 0.0
     for x in range(3):
@@ -132,7 +134,7 @@ def _squares(p: Floats) -> float:  # pragma: no cover
 
 
 @njit(cache=True)
-def _normal(p: Floats):  # pragma: no cover
+def _double_area_vector(p: Floats):  # pragma: no cover
     """Twice the area vector of a triangle (3, 3)."""
     u, v = p[1] - p[0], p[2] - p[0]
     return np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])

@@ -13,13 +13,22 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.geometry.kernels import STACK, Tree, height, nearest, offset, slice_at, tree_of, winding
+from deepfracture.geometry.aabb_tree import (
+    STACK,
+    AABBTree,
+    build_tree,
+    nearest_triangle,
+    offset_from_triangle,
+    segment_height,
+    slice_triangle,
+    winding_number,
+)
 from deepfracture.types import BadInput, Floats, Floats32, Grid, Ints, Mesh
 
-Flags = NDArray[np.bool_]
+Mask = NDArray[np.bool_]
 
 
-class Closest(NamedTuple):
+class ClosestPoints(NamedTuple):
     """The points of a mesh's surface nearest to queries."""
 
     points: Floats
@@ -32,7 +41,7 @@ class Closest(NamedTuple):
 
 @njit(cache=True, parallel=True)
 def _fill_distances(
-    tree: Tree, origin: Floats, step: Floats, inside: Flags, limit: float, outside: float, values: Floats32
+    tree: AABBTree, origin: Floats, step: Floats, inside: Mask, limit: float, outside: float, values: Floats32
 ):  # pragma: no cover
     """Distances up to `limit` where `inside`, up to `outside` elsewhere."""
     nx, ny, nz = values.shape
@@ -45,12 +54,12 @@ def _fill_distances(
                 k = n if j % 2 == 0 else nz - 1 - n
                 x, y, z = origin[0] + i * step[0], origin[1] + j * step[1], origin[2] + k * step[2]
                 most = limit if inside[i, j, k] else outside
-                guess, square = nearest(x, y, z, tree, guess, most * most, stack)
+                guess, square = nearest_triangle(x, y, z, tree, guess, most * most, stack)
                 values[i, j, k] = np.sqrt(square)
 
 
 @njit(cache=True)
-def _count_turns(triangles: Floats, origin: Floats, step: Floats, turns):  # pragma: no cover
+def _fill_winding(triangles: Floats, origin: Floats, step: Floats, turns):  # pragma: no cover
     """Winding number of each lattice point, from all crossings of each column along z."""
     nx, ny, nz = turns.shape
     for t in range(len(triangles)):
@@ -60,7 +69,7 @@ def _count_turns(triangles: Floats, origin: Floats, step: Floats, turns):  # pra
         first = max(0, int(np.floor((low - origin[1]) / step[1])) - 1)
         last = min(ny - 1, int(np.ceil((high - origin[1]) / step[1])) + 1)
         for j in range(first, last + 1):
-            there, x0, z0, x1, z1 = slice_at(triangles[t], origin[1] + j * step[1])
+            there, x0, z0, x1, z1 = slice_triangle(triangles[t], origin[1] + j * step[1])
             if not there:
                 continue
             left = max(0, int(np.floor((min(x0, x1) - origin[0]) / step[0])) - 1)
@@ -69,7 +78,7 @@ def _count_turns(triangles: Floats, origin: Floats, step: Floats, turns):  # pra
                 x = origin[0] + i * step[0]
                 if (x0 < x) == (x1 < x):
                     continue
-                z = height(x0, z0, x1, z1, x)
+                z = segment_height(x0, z0, x1, z1, x)
                 k = min(nz - 1, int(np.floor((z - origin[2]) / step[2])) + 1)
                 while k >= 0 and origin[2] + k * step[2] >= z:
                     k -= 1
@@ -82,32 +91,32 @@ def _count_turns(triangles: Floats, origin: Floats, step: Floats, turns):  # pra
 
 
 @njit(cache=True, parallel=True)
-def _query(tree: Tree, points: Floats, out: Floats, faces: Ints, distance: Floats):  # pragma: no cover
+def _fill_closest(tree: AABBTree, points: Floats, out: Floats, faces: Ints, distance: Floats):  # pragma: no cover
     chunk = 256
     for c in prange((len(points) + chunk - 1) // chunk):
         stack = np.empty(STACK, np.int64)
         guess = 0
         for n in range(c * chunk, min(len(points), (c + 1) * chunk)):
             x, y, z = points[n]
-            guess, square = nearest(x, y, z, tree, guess, np.inf, stack)
-            dx, dy, dz = offset(x, y, z, tree.corners[guess])
+            guess, square = nearest_triangle(x, y, z, tree, guess, np.inf, stack)
+            dx, dy, dz = offset_from_triangle(x, y, z, tree.corners[guess])
             out[n, 0], out[n, 1], out[n, 2] = x - dx, y - dy, z - dz
             faces[n], distance[n] = tree.order[guess], np.sqrt(square)
 
 
 @njit(cache=True, parallel=True)
-def _windings(tree: Tree, points: Floats, turns: Ints):  # pragma: no cover
+def _winding_numbers(tree: AABBTree, points: Floats, turns: Ints):  # pragma: no cover
     chunk = 256
     for c in prange((len(points) + chunk - 1) // chunk):
         stack = np.empty(STACK, np.int64)
         for n in range(c * chunk, min(len(points), (c + 1) * chunk)):
-            turns[n] = winding(points[n, 0], points[n, 1], points[n, 2], tree, stack)
+            turns[n] = winding_number(points[n, 0], points[n, 1], points[n, 2], tree, stack)
 
 
-def _tree(mesh: Mesh) -> Tree:
+def _tree(mesh: Mesh) -> AABBTree:
     if not len(mesh.faces):
         raise BadInput("the mesh has no triangles, so nothing has a distance to it")
-    return tree_of(mesh.triangles)
+    return build_tree(mesh.triangles)
 
 
 def _lattice(origin: ArrayLike, spacing: ArrayLike) -> tuple[Floats, Floats]:
@@ -122,7 +131,7 @@ def winding_lattice(mesh: Mesh, origin: ArrayLike, spacing: ArrayLike, shape: tu
     overlap or are inside out. Arguments as in `signed_distance_lattice`."""
     start, step = _lattice(origin, spacing)
     turns = np.zeros(shape, np.int64)
-    _count_turns(np.array(mesh.triangles), start, step, turns)
+    _fill_winding(np.array(mesh.triangles), start, step, turns)
     return turns
 
 
@@ -139,7 +148,7 @@ def distance_lattice(
 
 
 def _distances(
-    mesh: Mesh, origin: ArrayLike, spacing: ArrayLike, inside: Flags, limit: float, outside: float
+    mesh: Mesh, origin: ArrayLike, spacing: ArrayLike, inside: Mask, limit: float, outside: float
 ) -> Floats32:
     start, step = _lattice(origin, spacing)
     values = np.empty(inside.shape, np.float32)
@@ -168,7 +177,7 @@ def signed_distance_lattice(
     return values
 
 
-def voxels_inside(mesh: Mesh, grid: Grid) -> Flags:
+def voxels_inside(mesh: Mesh, grid: Grid) -> Mask:
     """Whether each voxel centre lies in a closed mesh, shape (r, r, r); distances take fifty times as long.
 
     Centres exactly on the surface count by rules that give each to one of two bodies that share it there."""
@@ -187,11 +196,11 @@ def _points(points: ArrayLike) -> Floats:
     return array
 
 
-def closest(mesh: Mesh, points: ArrayLike) -> Closest:
+def closest_points(mesh: Mesh, points: ArrayLike) -> ClosestPoints:
     """Nearest point of the surface, its triangle and its distance, for points of shape (n, 3)."""
     array = _points(points)
-    result = Closest(np.empty_like(array), np.empty(len(array), np.int64), np.empty(len(array)))
-    _query(_tree(mesh), array, *result)
+    result = ClosestPoints(np.empty_like(array), np.empty(len(array), np.int64), np.empty(len(array)))
+    _fill_closest(_tree(mesh), array, *result)
     return result
 
 
@@ -199,8 +208,8 @@ def signed_distance_points(mesh: Mesh, points: ArrayLike) -> Floats:
     """Exact signed distance [m] of a closed mesh at points (n, 3), + inside, shape (n,)."""
     array = _points(points)
     tree = _tree(mesh)
-    result = Closest(np.empty_like(array), np.empty(len(array), np.int64), np.empty(len(array)))
-    _query(tree, array, *result)
+    result = ClosestPoints(np.empty_like(array), np.empty(len(array), np.int64), np.empty(len(array)))
+    _fill_closest(tree, array, *result)
     turns = np.empty(len(array), np.int64)
-    _windings(tree, array, turns)
+    _winding_numbers(tree, array, turns)
     return np.where(turns > 0, result.distance, -result.distance)

@@ -37,10 +37,12 @@ def mass_properties(mesh: Mesh, density: float) -> MassProperties:
     # Near the mesh, so that far-off bodies lose no digits.
     pivot = mesh.vertices[mesh.faces[0, 0]] if len(mesh.faces) else np.zeros(3)
     volume, first, second = moments(mesh.vertices, mesh.faces, pivot)
-    return properties_of(volume, first, second, pivot, density)
+    return properties_from_moments(volume, first, second, pivot, density)
 
 
-def properties_of(volume: float, first: Floats, second: Floats, pivot: Floats, density: float) -> MassProperties:
+def properties_from_moments(
+    volume: float, first: Floats, second: Floats, pivot: Floats, density: float
+) -> MassProperties:
     """Mass properties from `moments` about a pivot. Raises BadInput for density <= 0 or volume <= 0."""
     if not 0 < density < np.inf:
         raise BadInput(f"density must be positive and finite, got {density}")

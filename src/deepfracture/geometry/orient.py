@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.geometry.topology import neighbours
+from deepfracture.geometry.topology import adjacent_faces
 from deepfracture.types import Mesh
 
 
-def oriented(mesh: Mesh) -> Mesh:
+def orient(mesh: Mesh) -> Mesh:
     """The mesh with neighbouring faces agreeing on their side, as far as the surface has two."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-    one, other, agree = neighbours(mesh.faces)
+    one, other, agree = adjacent_faces(mesh.faces)
     count = len(mesh.faces)
     links = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(count, count))
     _, part = connected_components(links, directed=False)

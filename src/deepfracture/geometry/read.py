@@ -1,26 +1,20 @@
-"""From a file or a built-in name to a checked Shape."""
+"""Mesh files as checked triangles and solids."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from deepfracture.geometry.appearance import followed
-from deepfracture.geometry.builtin import builtin
-from deepfracture.geometry.normalise import normalise
-from deepfracture.geometry.orient import oriented
-from deepfracture.geometry.soup import Soup, read_scene
-from deepfracture.geometry.topology import faults, shell_volumes, shells, split_pinches, weld
-from deepfracture.geometry.untangle import crossing_faces
+from deepfracture.geometry.orient import orient
+from deepfracture.geometry.soup import TriangleSoup, read_scene
+from deepfracture.geometry.topology import mesh_defects, shell_volumes, shells, split_pinches, weld
 from deepfracture.geometry.wavefront import read_obj
-from deepfracture.runtime.progress import log
 from deepfracture.runtime.suggest import did_you_mean
-from deepfracture.types import Appearance, BadInput, Mesh, Shape
+from deepfracture.types import BadInput, Mesh
 
-LONGEST = 1e60
+MAX_COORDINATE = 1e60
 """Coordinates beyond it, and lengths below its inverse, leave too few powers of ten for volumes squared."""
 EXTENSIONS = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
 
@@ -29,10 +23,11 @@ def read_triangles(path: str | Path) -> Mesh:
     """Every triangle of a file, scene nodes in place, corners welded; open meshes are allowed.
 
     Raises BadInput, in one line, for what is not a readable mesh."""
-    return _welded(_soup(Path(path)), path)
+    return weld_soup(read_soup(Path(path)), path)
 
 
-def _soup(path: Path) -> Soup:
+def read_soup(path: Path) -> TriangleSoup:
+    """The triangles of a file as written there. Raises BadInput as `read_triangles` does."""
     if not os.path.exists(path):  # also where no file can be called so
         beside = (other.name for other in path.parent.iterdir()) if path.parent.is_dir() else ()
         raise BadInput(f"{path}: no such file{did_you_mean(path.name, beside)}")
@@ -55,16 +50,17 @@ def _soup(path: Path) -> Soup:
     return soup
 
 
-def _check_lengths(soup: Soup, path: Path) -> None:
+def _check_lengths(soup: TriangleSoup, path: Path) -> None:
     farthest = float(np.abs(soup.vertices).max())
     longest = float(np.ptp(soup.vertices, axis=0).max())
-    if farthest > LONGEST:
-        raise BadInput(f"{path}: reaches to {farthest:.0e}, past {LONGEST:.0e}; scale it down")
-    if 0 < longest < 1 / LONGEST:
-        raise BadInput(f"{path}: is {longest:.0e} long, below {1 / LONGEST:.0e}; scale it up")
+    if farthest > MAX_COORDINATE:
+        raise BadInput(f"{path}: reaches to {farthest:.0e}, past {MAX_COORDINATE:.0e}; scale it down")
+    if 0 < longest < 1 / MAX_COORDINATE:
+        raise BadInput(f"{path}: is {longest:.0e} long, below {1 / MAX_COORDINATE:.0e}; scale it up")
 
 
-def _welded(soup: Soup, path: str | Path) -> Mesh:
+def weld_soup(soup: TriangleSoup, path: str | Path) -> Mesh:
+    """The soup's triangles with shared vertices. Raises BadInput, which `path` leads."""
     try:
         return weld(soup.vertices, soup.faces)
     except BadInput as problem:
@@ -80,10 +76,10 @@ def check_solid(mesh: Mesh, name: str) -> Mesh:
     """The mesh as the outward-oriented surface of one body, or BadInput with counts and advice.
 
     Inward shells within the body are cavities. `name` leads the message."""
-    found = faults(mesh)
-    if found.flipped and not found.boundary and not found.crowded:
-        mesh = oriented(mesh)
-        found = faults(mesh)
+    found = mesh_defects(mesh)
+    if found.flipped and not found.boundary and not found.non_manifold:
+        mesh = orient(mesh)
+        found = mesh_defects(mesh)
     if not found.closed:
         raise BadInput(f"{name}: {found}; try --repair")
     piece = shells(mesh.faces)
@@ -107,49 +103,3 @@ def check_solid(mesh: Mesh, name: str) -> Mesh:
 def read_mesh(path: str | Path) -> Mesh:
     """The closed, outward-oriented surface of one body in a file's own coordinates, or BadInput."""
     return check_solid(read_triangles(path), str(path))
-
-
-def load_shape(path_or_name: str, *, repair: bool = False) -> Shape:
-    """A built-in shape by its name, or the shape in a mesh file (OBJ, STL, PLY, GLB, GLTF, OFF) with its looks.
-
-    repair: close what is open, join overlapping shells. Raises BadInput in one line."""
-    text = str(path_or_name)
-    path = Path(text)
-    if not text.strip() or (not path.suffix and not os.path.isfile(path)):
-        return builtin(text)
-    soup = _soup(path)
-    mesh = _welded(soup, path)
-    if repair:
-        from deepfracture.geometry.repair import repair as repaired
-
-        mesh = repaired(mesh, name=text)
-    else:
-        mesh = check_solid(mesh, text)
-    shape = normalise(mesh, path.stem)
-    if not repair:
-        _warn_of_crossings(shape, text)
-    return replace(shape, appearance=_appearance(soup, mesh, text))
-
-
-def _warn_of_crossings(shape: Shape, name: str) -> None:
-    count = len(crossing_faces(shape.mesh))
-    if count:
-        log.warning(
-            "%s: the surface runs through itself (%d faces): cuts may fail there; --repair mends that",
-            name,
-            count,
-        )
-
-
-def _appearance(soup: Soup, mesh: Mesh, name: str) -> Appearance | None:
-    """What the file says of the looks of the mesh that was made of it, None if it says nothing."""
-    try:
-        given = soup.appearance()
-    except BadInput as problem:
-        raise BadInput(f"{name}: {problem}; export it again") from None
-    if given is None:
-        return None
-    appearance, new = followed(given, Mesh(soup.vertices, soup.faces), mesh)
-    if new:
-        log.info("%s: %d of %d faces are new and look like what is nearest to them", name, new, len(mesh.faces))
-    return appearance

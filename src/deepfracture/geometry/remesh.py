@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.geometry.clusters import clusters, dual
-from deepfracture.geometry.distance import closest
-from deepfracture.geometry.topology import compact, faults, split_pinches, torn_vertices
+from deepfracture.geometry.acvd import cluster_vertices, dual_mesh
+from deepfracture.geometry.distance import closest_points
+from deepfracture.geometry.topology import compact, defective_vertices, mesh_defects, split_pinches
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Mesh
 
@@ -22,7 +22,7 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
     smaller ones, up to twice as many in all. Raises BadInput when the surface is too thin or wild for so few."""
     if triangles < 20:
         raise BadInput(f"triangles must be 20 or more, got {triangles}")
-    before = faults(mesh)
+    before = mesh_defects(mesh)
     if not before.closed:
         raise BadInput(f"only a closed mesh can be remeshed, this one has {before}")
     mesh = split_pinches(mesh)
@@ -31,8 +31,12 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
     wanted = max(10, triangles // 2 + euler)
     for fineness in FINENESS:
         fine = split_pinches(_subdivided(mesh, fineness * wanted))
-        result = dual(fine, clusters(fine, wanted))
-        if not len(torn_vertices(result)) and _euler(result) == euler and faults(result).shells == before.shells:
+        result = dual_mesh(fine, cluster_vertices(fine, wanted))
+        if (
+            not len(defective_vertices(result))
+            and _euler(result) == euler
+            and mesh_defects(result).shells == before.shells
+        ):
             break
     else:
         raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for more, or repair it")
@@ -40,7 +44,7 @@ def remesh(mesh: Mesh, triangles: int) -> Mesh:
         raise BadInput(f"{triangles} triangles are too few to follow this surface; ask for {len(result.faces)} or more")
     if len(result.faces) > 1.05 * triangles:
         log.info("remesh: thin limbs; %d triangles where %d were asked for", len(result.faces), triangles)
-    return _keep_volume(_outward(Mesh(closest(fine, result.vertices).points, result.faces)), mesh)
+    return _keep_volume(_outward(Mesh(closest_points(fine, result.vertices).points, result.faces)), mesh)
 
 
 def _area(mesh: Mesh) -> float:

@@ -11,7 +11,7 @@ from deepfracture.geometry.topology import compact, weld
 from deepfracture.types import Floats, Mesh
 
 
-def sampled(points: ArrayLike, length: float) -> Floats:
+def resample(points: ArrayLike, length: float) -> Floats:
     """A curve through `points` (n, d) in even steps of about `length`, both ends kept."""
     points = np.asarray(points, float)
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -35,7 +35,7 @@ def fillet(before: ArrayLike, corner: ArrayLike, after: ArrayLike) -> Floats:
     return (1 - t) ** 2 * before + 2 * t * (1 - t) * corner + t**2 * after
 
 
-def _bridge(inner: Floats, outer: Floats, first: int, second: int) -> list[tuple[int, int, int]]:
+def _stitch_rings(inner: Floats, outer: Floats, first: int, second: int) -> list[tuple[int, int, int]]:
     """Triangles between two rings of vertices given by their angles, numbered from first and second."""
     if len(inner) == 1:
         return [(first, second + i, second + (i + 1) % len(outer)) for i in range(len(outer))]
@@ -61,12 +61,12 @@ def _next_angle(ring: Floats, index: int) -> float:
     return ring[index + 1] if index + 1 < len(ring) else ring[0] + 2 * np.pi
 
 
-def turned(pieces: Sequence[Floats], length: float) -> Mesh:
+def revolve(pieces: Sequence[Floats], length: float) -> Mesh:
     """A solid of revolution about z with triangles of about one size.
 
     pieces: curves (n, 2) of (radius, z) that join end to end from the axis at the bottom, round
     the outside, back to the axis; corners where they join stay sharp. length: edge length."""
-    profile = np.concatenate([sampled(piece, length * np.sqrt(3) / 2)[:-1] for piece in pieces] + [pieces[-1][-1:]])
+    profile = np.concatenate([resample(piece, length * np.sqrt(3) / 2)[:-1] for piece in pieces] + [pieces[-1][-1:]])
     rings: list[Floats] = []
     vertices: list[Floats] = []
     faces: list[tuple[int, int, int]] = []
@@ -77,7 +77,7 @@ def turned(pieces: Sequence[Floats], length: float) -> Mesh:
         angles = (np.arange(count) + 0.5 * (n % 2)) * 2 * np.pi / count
         vertices.append(np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)]))
         if n:
-            faces += _bridge(rings[-1], angles, start - len(rings[-1]), start)
+            faces += _stitch_rings(rings[-1], angles, start - len(rings[-1]), start)
         rings.append(angles)
         start += count
     mesh = Mesh(np.concatenate(vertices), np.array(faces))
@@ -106,7 +106,7 @@ def box(size: ArrayLike, length: float) -> Mesh:
     return weld(np.concatenate(vertices), np.concatenate(faces))
 
 
-def slab(quads: Sequence[tuple[ArrayLike, int, int]], depth: float, layers: int) -> Mesh:
+def extruded_quads(quads: Sequence[tuple[ArrayLike, int, int]], depth: float, layers: int) -> Mesh:
     """A plate in the xz plane, centred on y = 0, from quads with regular triangulations.
 
     quads: (corners (4, 2) of (x, z), counter-clockwise; steps along the first side; along the
@@ -140,7 +140,7 @@ def slab(quads: Sequence[tuple[ArrayLike, int, int]], depth: float, layers: int)
     return compact(vertices, np.concatenate([all_quads[:, [0, 1, 2]], all_quads[:, [0, 2, 3]]]))
 
 
-def blocks(lines: Sequence[ArrayLike], boxes: Sequence[tuple[ArrayLike, ArrayLike]]) -> Mesh:
+def union_of_boxes(lines: Sequence[ArrayLike], boxes: Sequence[tuple[ArrayLike, ArrayLike]]) -> Mesh:
     """The union of boxes whose sides lie on the planes of a grid, with that grid as triangulation.
 
     lines: the planes' positions along x, y, z. boxes: lower and upper corners."""
@@ -171,7 +171,7 @@ def tube(path: ArrayLike, across: ArrayLike, thickness: tuple[float, float], len
 
     path: points (n, 3). across: unit normal of the curve's plane (3,). thickness: diameters in
     the plane and across it."""
-    path = sampled(path, length)
+    path = resample(path, length)
     across = np.asarray(across, float)
     tangent = np.gradient(path, axis=0)
     inward = np.cross(across, tangent)
@@ -195,7 +195,7 @@ def tube(path: ArrayLike, across: ArrayLike, thickness: tuple[float, float], len
     return mesh if mesh.volume > 0 else Mesh(vertices, faces[:, ::-1])
 
 
-def united(parts: Sequence[Mesh]) -> Mesh:
+def union(parts: Sequence[Mesh]) -> Mesh:
     """The union of closed meshes, in double precision. Raises ValueError when one is not a manifold."""
     from manifold3d import Manifold, Mesh64, OpType
 

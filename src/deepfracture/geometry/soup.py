@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepfracture.geometry.textures import as_texture, confined
+from deepfracture.geometry.textures import folder_resolver, to_texture
 from deepfracture.types import Appearance, BadInput, Finish, Floats, Ints
 
 if TYPE_CHECKING:
     import trimesh
 
-SCENES = (".glb", ".gltf")
+GLTF = (".glb", ".gltf")
 """Files whose colours are linear light."""
-LARGEST = 50_000_000
+MAX_VERTICES = 50_000_000
 """Vertices that a glTF file may blow itself up to."""
 
 
 @dataclass(frozen=True, eq=False)
-class Soup:
+class TriangleSoup:
     """What a file says. What is None, it does not have."""
 
     vertices: Floats
@@ -63,7 +63,7 @@ class Soup:
         return np.where(length > 0, normals / np.where(length > 0, length, 1), up).astype(np.float32)
 
 
-def read_scene(path: Path) -> Soup:
+def read_scene(path: Path) -> TriangleSoup:
     """Every triangle of a STL, PLY, GLB, GLTF or OFF file, scene nodes in place. Raises BadInput in one line.
 
     What a file names beside itself is read from its own folder only."""
@@ -74,19 +74,23 @@ def read_scene(path: Path) -> Soup:
     # trimesh reports what it skips to its own logger; our one line says enough.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
-        if path.suffix.lower() in SCENES:
-            _check_promises(path)
-        scene = trimesh.load_scene(path, process=False, resolver=confined(path))
-        looks = {name: _looks(mesh, path) for name, mesh in scene.geometry.items() if isinstance(mesh, trimesh.Trimesh)}
+        if path.suffix.lower() in GLTF:
+            _check_declared_size(path)
+        scene = trimesh.load_scene(path, process=False, resolver=folder_resolver(path))
+        looks = {
+            name: _part_appearance(mesh, path)
+            for name, mesh in scene.geometry.items()
+            if isinstance(mesh, trimesh.Trimesh)
+        }
         placed = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
         frames = [scene.graph[mesh.metadata["node"]][0][:3, :3] for mesh in placed]
-        return _joined(placed, [looks[mesh.metadata["name"]] for mesh in placed], frames)
+        return _merge(placed, [looks[mesh.metadata["name"]] for mesh in placed], frames)
     except Exception as problem:  # Loaders raise anything on garbage; every case is the same to the user.
         reason = (str(problem).strip().splitlines() or [type(problem).__name__])[0][:200]
         raise BadInput(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})") from None
 
 
-def _check_promises(path: Path) -> None:
+def _check_declared_size(path: Path) -> None:
     """Raises ValueError where a small glTF file would become a large mesh: blank arrays and copies cost it nothing."""
     data = path.read_bytes()
     if data[:4] == b"glTF":  # glTF 2.0, 4.4: 12 bytes, then the length of the JSON chunk and its kind
@@ -97,12 +101,12 @@ def _check_promises(path: Path) -> None:
     parts = [mesh.get("primitives", ()) for mesh in tree.get("meshes", ())]
     sizes = [sum(counts[p["attributes"]["POSITION"]] for p in part if "POSITION" in p["attributes"]) for part in parts]
     copies = sum(sizes[node["mesh"]] for node in tree.get("nodes", ()) if 0 <= node.get("mesh", -1) < len(sizes))
-    if max(blank, copies) > LARGEST:
-        raise ValueError(f"{max(blank, copies)} vertices, {LARGEST} at most")
+    if max(blank, copies) > MAX_VERTICES:
+        raise ValueError(f"{max(blank, copies)} vertices, {MAX_VERTICES} at most")
 
 
 @dataclass(frozen=True, eq=False)
-class _Looks:
+class _PartAppearance:
     """Of one part of a scene: by vertex, or by face where `by_face`."""
 
     finish: Finish
@@ -113,18 +117,18 @@ class _Looks:
     """Whether colours are those of faces."""
 
 
-def _looks(mesh: trimesh.Trimesh, path: Path) -> _Looks:
+def _part_appearance(mesh: trimesh.Trimesh, path: Path) -> _PartAppearance:
     visual: Any = mesh.visual
     normals = np.array(mesh.vertex_normals, float) if "vertex_normals" in mesh._cache else None
     if visual.kind in ("vertex", "face"):
         values = visual.vertex_colors if visual.kind == "vertex" else visual.face_colors
-        return _Looks(Finish(), normals, None, _srgb(np.asarray(values), path), visual.kind == "face")
+        return _PartAppearance(Finish(), normals, None, _srgb(np.asarray(values), path), visual.kind == "face")
     if visual.kind != "texture":
-        return _Looks(Finish(), normals, None, None)
+        return _PartAppearance(Finish(), normals, None, None)
     uv = None if visual.uv is None else np.asarray(visual.uv, float)
     colours = visual.vertex_attributes.get("color", _ply_colours(mesh))
     finish = _finish(visual.material, path, uv is not None)
-    return _Looks(finish, normals, uv, None if colours is None else _srgb(np.asarray(colours), path))
+    return _PartAppearance(finish, normals, uv, None if colours is None else _srgb(np.asarray(colours), path))
 
 
 def _finish(material: Any, path: Path, mapped: bool) -> Finish:
@@ -136,15 +140,15 @@ def _finish(material: Any, path: Path, mapped: bool) -> Finish:
     if colour is not None:
         red, green, blue = np.rint(255 * _srgb(np.asarray(colour)[None, :3], path)[0, :3]).astype(int).tolist()
         base = red, green, blue
-    return Finish(name, base, _bytes(picture, path) if picture is not None and mapped else None)
+    return Finish(name, base, _texture_bytes(picture, path) if picture is not None and mapped else None)
 
 
-def _bytes(picture: Any, path: Path) -> bytes | None:
+def _texture_bytes(picture: Any, path: Path) -> bytes | None:
     """The file that a picture was opened from, as it was written; None if it is trimesh's own blank."""
     if getattr(picture, "fp", None) is None:
         return None
     picture.fp.seek(0)
-    return as_texture(picture.fp.read(), str(path))
+    return to_texture(picture.fp.read(), str(path))
 
 
 def _ply_colours(mesh: trimesh.Trimesh) -> NDArray | None:
@@ -166,23 +170,23 @@ def _srgb(colours: NDArray, path: Path) -> Floats:
     most = np.iinfo(colours.dtype).max if colours.dtype.kind in "ui" else 1
     values = np.ones((len(colours), 4))
     values[:, : colours.shape[1]] = np.clip(colours / most, 0, 1)
-    if path.suffix.lower() in SCENES:  # glTF 2.0, 3.7.2.1 and 3.9.2: linear; IEC 61966-2-1 encodes it
+    if path.suffix.lower() in GLTF:  # glTF 2.0, 3.7.2.1 and 3.9.2: linear; IEC 61966-2-1 encodes it
         light = values[:, :3]
         values[:, :3] = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return values
 
 
-def _joined(placed: list[trimesh.Trimesh], looks: list[_Looks], frames: list[Floats]) -> Soup:
+def _merge(placed: list[trimesh.Trimesh], looks: list[_PartAppearance], frames: list[Floats]) -> TriangleSoup:
     """All parts as one; what only some have, the others have blank."""
     if not placed:
-        return Soup(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), (Finish(),))
+        return TriangleSoup(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), (Finish(),))
     counts = [len(mesh.vertices) for mesh in placed]
     starts = np.cumsum([0, *counts[:-1]])
     faces = [np.asarray(mesh.faces, np.int64).reshape(-1, 3) for mesh in placed]
     finishes = list({id(look.finish): look.finish for look in looks}.values())
     finish = [np.full(len(own), finishes.index(look.finish)) for own, look in zip(faces, looks, strict=True)]
-    normals = [_turned(look.normals, frame) for look, frame in zip(looks, frames, strict=True)]
-    return Soup(
+    normals = [_transform_normals(look.normals, frame) for look, frame in zip(looks, frames, strict=True)]
+    return TriangleSoup(
         np.concatenate([np.asarray(mesh.vertices, float) for mesh in placed]).reshape(-1, 3),
         np.concatenate([own + start for own, start in zip(faces, starts, strict=True)]),
         np.concatenate(finish),
@@ -193,7 +197,7 @@ def _joined(placed: list[trimesh.Trimesh], looks: list[_Looks], frames: list[Flo
     )
 
 
-def _turned(normals: Floats | None, frame: Floats) -> Floats | None:
+def _transform_normals(normals: Floats | None, frame: Floats) -> Floats | None:
     """Normals (n, 3) of a part that stands in the scene by the matrix `frame` (3, 3), which may scale and shear."""
     if normals is None:
         return None

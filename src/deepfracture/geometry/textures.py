@@ -12,14 +12,14 @@ from deepfracture.runtime.progress import log
 if TYPE_CHECKING:
     from trimesh.resolvers import Resolver
 
-LARGEST = 1 << 28
+MAX_BYTES = 1 << 28
 """Bytes of a file beside a mesh that are read at most."""
 FORMATS = ("PNG", "JPEG", "BMP", "TGA", "WEBP")
-KEPT = ("PNG", "JPEG")
+GLTF_FORMATS = ("PNG", "JPEG")
 """What glTF allows; the rest becomes PNG."""
 
 
-def beside(path: Path, name: str) -> bytes | None:
+def read_sibling(path: Path, name: str) -> bytes | None:
     """What is in the file `name`, relative to the mesh file `path`.
 
     None, and one line in the log, if it is missing, too large, or anywhere but in the mesh's folder, links followed."""
@@ -30,8 +30,8 @@ def beside(path: Path, name: str) -> bytes | None:
             log.warning("%s: names %s, which lies outside its folder and is not read", path, name[:80])
         elif not file.is_file():
             log.warning("%s: names %s, which is missing; its look is lost", path, name[:80])
-        elif file.stat().st_size > LARGEST:
-            log.warning("%s: names %s, which is larger than %d MB and is not read", path, name[:80], LARGEST >> 20)
+        elif file.stat().st_size > MAX_BYTES:
+            log.warning("%s: names %s, which is larger than %d MB and is not read", path, name[:80], MAX_BYTES >> 20)
         else:
             return file.read_bytes()
     except (OSError, ValueError, RuntimeError) as problem:  # names too long, with a zero byte, links in a ring
@@ -42,18 +42,18 @@ def beside(path: Path, name: str) -> bytes | None:
 
 def texture(path: Path, name: str) -> bytes | None:
     """The picture `name` beside the mesh file `path` as PNG or JPEG; None, and a line in the log, without it."""
-    data = beside(path, name)
-    return None if data is None else as_texture(data, f"{path}: {name[:80]}")
+    data = read_sibling(path, name)
+    return None if data is None else to_texture(data, f"{path}: {name[:80]}")
 
 
-def as_texture(data: bytes, name: str) -> bytes | None:
+def to_texture(data: bytes, name: str) -> bytes | None:
     """A picture's bytes as PNG or JPEG; None, and one line in the log that begins with `name`, if it is not sound."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:
             image.load()  # a picture that breaks off is found here, not in the user's viewer
-            if image.format in KEPT:
+            if image.format in GLTF_FORMATS:
                 return data
             png = io.BytesIO()
             image.convert("RGBA").save(png, format="PNG")
@@ -64,7 +64,7 @@ def as_texture(data: bytes, name: str) -> bytes | None:
         return None
 
 
-def confined(path: Path) -> Resolver:
+def folder_resolver(path: Path) -> Resolver:
     """trimesh's way to the files that the mesh file `path` names: those in its own folder."""
     from trimesh.resolvers import Resolver
 
@@ -72,7 +72,7 @@ def confined(path: Path) -> Resolver:
         def __init__(self) -> None: ...
 
         def get(self, key: str) -> bytes:
-            data = beside(path, unquote(key))
+            data = read_sibling(path, unquote(key))
             if data is None:
                 raise FileNotFoundError(key)
             return data

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from deepfracture.geometry.disjoint_sets import union
 from deepfracture.types import BadInput, Ints, Mesh
 
-WELD = 1e-6
+WELD_TOL = 1e-6
 """Vertices closer than this share of the box diagonal are one: float32 noise of a transformed scene."""
-PAIRS = 1 << 25
+MAX_PAIRS = 1 << 25
 """Vertices that close to each other, counted both ways, of which a table still fits into half a gigabyte."""
 
 
 @dataclass(frozen=True)
-class Faults:
+class MeshDefects:
     """What keeps a mesh from being the surface of one solid. All zero: it is one."""
 
     boundary: int
     """Edges with one triangle."""
-    crowded: int
+    non_manifold: int
     """Edges with three or more triangles."""
     flipped: int
     """Edges whose two triangles run the same way."""
@@ -35,20 +35,20 @@ class Faults:
     @property
     def closed(self) -> bool:
         """Every edge has two triangles that agree on the outside."""
-        return not (self.boundary or self.crowded or self.flipped)
+        return not (self.boundary or self.non_manifold or self.flipped)
 
     def __str__(self) -> str:
         counts = (
             (self.open_shells, "open shell", "s"),
             (self.boundary, "boundary edge", "s"),
-            (self.crowded, "edge", "s shared by more than two faces"),
+            (self.non_manifold, "edge", "s shared by more than two faces"),
             (self.flipped, "edge", "s between faces of opposite orientation"),
         )
         return ", ".join(f"{n} {what}{more if n > 1 else more[1:]}" for n, what, more in counts if n)
 
 
 @njit(cache=True)
-def ascending(rows: Ints) -> Ints:  # pragma: no cover
+def radix_argsort(rows: Ints) -> Ints:  # pragma: no cover
     """The stable order in which rows of integers from 0 ascend, the first column first, shape (n,).
 
     By counting, in a time that grows with the number of rows and the greatest integer only."""
@@ -78,27 +78,27 @@ class Edges:
     """From and to, of each half edge, shape (3 m, 2)."""
     order: Ints
     """Half edges, those of one edge next to each other, shape (3 m,)."""
-    which: Ints
+    edge: Ints
     """The edge that each half edge belongs to, shape (3 m,)."""
     counts: Ints
     """Half edges of each edge, shape (e,)."""
 
     @property
-    def sound(self) -> NDArray[np.bool_]:
+    def manifold(self) -> NDArray[np.bool_]:
         """Edges of two faces that agree on the outside, shape (e,)."""
         low, high = self.ends.T
-        forward = np.bincount(self.which, low < high, len(self.counts))
+        forward = np.bincount(self.edge, low < high, len(self.counts))
         return (self.counts == 2) & (forward == 1)
 
     @property
-    def loops(self) -> NDArray[np.bool_]:
+    def self_loops(self) -> NDArray[np.bool_]:
         """Edges from a vertex to itself, as faces with two equal corners have them, shape (e,)."""
-        return np.bincount(self.which, self.ends[:, 0] == self.ends[:, 1], len(self.counts)) > 0
+        return np.bincount(self.edge, self.ends[:, 0] == self.ends[:, 1], len(self.counts)) > 0
 
     @property
     def twins(self) -> tuple[Ints, Ints]:
         """Half edges that follow each other in `order` on one edge: all pairs of those with two faces."""
-        same = np.flatnonzero(self.which[self.order[1:]] == self.which[self.order[:-1]])
+        same = np.flatnonzero(self.edge[self.order[1:]] == self.edge[self.order[:-1]])
         return self.order[same], self.order[same + 1]
 
 
@@ -106,7 +106,7 @@ def edges_of(faces: Ints) -> Edges:
     """All edges of the faces, numbered in ascending order of their vertices."""
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     low, high = np.minimum(*ends.T), np.maximum(*ends.T)
-    order = ascending(np.column_stack([low, high]))
+    order = radix_argsort(np.column_stack([low, high]))
     low, high = low[order], high[order]
     new = np.ones(len(order), bool)
     new[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
@@ -137,25 +137,25 @@ def shells(faces: Ints, edges: Edges | None = None) -> Ints:
     return _components(len(faces), one // 3, other // 3)
 
 
-def faults(mesh: Mesh) -> Faults:
+def mesh_defects(mesh: Mesh) -> MeshDefects:
     """What is wrong with the mesh as the surface of a solid."""
     edges = edges_of(mesh.faces)
     piece = shells(mesh.faces, edges)
-    boundary = edges.counts[edges.which] == 1
+    boundary = edges.counts[edges.edge] == 1
     opened = np.unique(np.repeat(piece, 3)[boundary])
-    return Faults(
+    return MeshDefects(
         boundary=int((edges.counts == 1).sum()),
-        crowded=int((edges.counts > 2).sum()),
-        flipped=int(((edges.counts == 2) & ~edges.sound).sum()),
+        non_manifold=int((edges.counts > 2).sum()),
+        flipped=int(((edges.counts == 2) & ~edges.manifold).sum()),
         shells=int(piece.max(initial=-1)) + 1,
         open_shells=len(opened),
     )
 
 
-def torn_vertices(mesh: Mesh) -> Ints:
+def defective_vertices(mesh: Mesh) -> Ints:
     """Vertices of edges that do not have just two agreeing faces, ascending."""
     edges = edges_of(mesh.faces)
-    return np.unique(edges.ends[~edges.sound[edges.which]])
+    return np.unique(edges.ends[~edges.manifold[edges.edge]])
 
 
 def shell_volumes(mesh: Mesh, piece: Ints) -> NDArray[np.float64]:
@@ -178,9 +178,9 @@ def weld(vertices: NDArray, faces: Ints) -> Mesh:
 
     points, inverse = np.unique(np.asarray(vertices, float), axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(faces, np.int64)]
-    tree, reach = KDTree(points), WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
-    if tree.count_neighbors(tree, reach) > PAIRS:
-        raise BadInput(f"most of its vertices are one point next to its box of {reach / WELD:.0e}; is one far off?")
+    tree, reach = KDTree(points), WELD_TOL * float(np.linalg.norm(np.ptp(points, axis=0)))
+    if tree.count_neighbors(tree, reach) > MAX_PAIRS:
+        raise BadInput(f"most of its vertices are one point next to its box of {reach / WELD_TOL:.0e}; is one far off?")
     pairs = tree.query_pairs(reach, output_type="ndarray")
     if len(pairs):
         label = _components(len(points), *pairs.T.astype(np.int64))
@@ -218,17 +218,17 @@ def split_pinches(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices[owner], fan)
 
 
-def neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+def adjacent_faces(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_]]:
     """Pairs of faces across edges that exactly two share, and whether they agree on the outside."""
     edges = edges_of(faces)
-    one, other = edges.order[edges.counts[edges.which[edges.order]] == 2].reshape(-1, 2).T
+    one, other = edges.order[edges.counts[edges.edge[edges.order]] == 2].reshape(-1, 2).T
     return one // 3, other // 3, edges.ends[one, 0] != edges.ends[other, 0]
 
 
 def boundary_loops(faces: Ints) -> list[Ints]:
     """The holes of an oriented mesh without pinches, each as vertices in the order a cap uses them."""
     edges = edges_of(faces)
-    rim = edges.ends[edges.counts[edges.which] == 1][:, ::-1]
+    rim = edges.ends[edges.counts[edges.edge] == 1][:, ::-1]
     after = {int(a): int(b) for a, b in rim}
     loops = []
     while after:

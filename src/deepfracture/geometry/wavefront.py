@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfracture.geometry.soup import Soup
-from deepfracture.geometry.textures import beside, texture
+from deepfracture.geometry.soup import TriangleSoup
+from deepfracture.geometry.textures import read_sibling, texture
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Finish, Floats, Ints
 
@@ -17,7 +17,7 @@ Row = tuple[int, list[str]]
 """Number of a line in the file, and its words without the first."""
 
 
-def read_obj(path: Path) -> Soup:
+def read_obj(path: Path) -> TriangleSoup:
     """Polygons become fans; lines, points, groups and curves are passed over. Raises BadInput in one line."""
     rows = _rows(path)
     vertices = _numbers(path, rows["v"], 3, "vertex")
@@ -25,15 +25,15 @@ def read_obj(path: Path) -> Soup:
     uv = _numbers(path, [(n, words[:2]) for n, words in rows["vt"]], 2, "texture coordinate")
     normals = _numbers(path, rows["vn"], 3, "normal")
     corners, finish, names = _triangles(path, rows)
-    known = _finishes(path, rows["mtllib"]) if rows["usemtl"] else {}
+    known = _mtl_finishes(path, rows["mtllib"]) if rows["usemtl"] else {}
     vertex, at_uv, at_normal = (corners[:, :, k] for k in range(3))
-    return Soup(
+    return TriangleSoup(
         vertices,
         vertex,
         finish,
         tuple(known.get(name, Finish(name)) for name in names),
-        _looked_up(normals, at_normal),
-        _looked_up(uv, at_uv),
+        _gather(normals, at_normal),
+        _gather(uv, at_uv),
         None if colours is None else colours[vertex],
     )
 
@@ -138,18 +138,18 @@ def _indices(path: Path, words: list[str], lines: Ints, rows: dict[str, list[Row
     return corners
 
 
-def _looked_up(values: Floats, index: Ints) -> Floats | None:
+def _gather(values: Floats, index: Ints) -> Floats | None:
     """Values (k, c) at corners (m, 3), zero at those that have none; None if none has."""
     if not (index >= 0).any():
         return None
     return np.where((index >= 0)[:, :, None], values[index], 0.0)
 
 
-def _finishes(path: Path, libraries: list[Row]) -> dict[str, Finish]:
+def _mtl_finishes(path: Path, libraries: list[Row]) -> dict[str, Finish]:
     """The materials of an OBJ's MTL files, by name."""
     known: dict[str, Finish] = {}
     for name in (" ".join(words) for _, words in libraries):
-        data = beside(path, name)
+        data = read_sibling(path, name)
         for block in re.split(r"(?m)^[ \t]*newmtl\b", (data or b"").decode("utf-8", "replace"))[1:]:
             lines = [line.split("#", 1)[0].split() for line in block.splitlines() or [""]]
             called = " ".join(lines[0])

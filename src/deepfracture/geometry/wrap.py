@@ -7,13 +7,13 @@ import numpy as np
 from deepfracture.geometry.distance import distance_lattice, signed_distance_lattice
 from deepfracture.geometry.isosurface import isosurface
 from deepfracture.geometry.topology import compact
-from deepfracture.geometry.untangle import untangled
+from deepfracture.geometry.untangle import untangle
 from deepfracture.types import BadInput, Floats32, Mesh
 
 VOXELS = 128
 """Voxels along the longest side."""
 
-GAPS = (1.5, 3.0, 6.0, 12.0)
+BALL_RADII = (1.5, 3.0, 6.0, 12.0)
 """Radii [voxels] of the ball that feels its way round the outside, tried in turn: it does not
 enter gaps narrower than twice its radius."""
 
@@ -26,14 +26,14 @@ def wrap(mesh: Mesh, name: str) -> tuple[Mesh, float]:
     middle = mesh.bounds.mean(axis=0)
     mesh = mesh.moved(1.0, -middle)  # far from the origin a lattice's steps would drown in rounding
     spacing = float(np.ptp(mesh.bounds, axis=0).max()) / VOXELS
-    for radius in GAPS:
+    for radius in BALL_RADII:
         reach = radius * spacing
         # A coarse lattice sees no gap that a fine one does not, and costs an eighth: what leaks there leaks.
         if _closing(mesh, 2 * spacing, reach, 0.25 * spacing) is None:
             continue
         solid = _closing(mesh, spacing, reach, 2 * spacing)
         if solid is not None:
-            return _lightened(solid, 0.1 * spacing).moved(1.0, middle), 2 * reach
+            return _simplified(solid, 0.1 * spacing).moved(1.0, middle), 2 * reach
     raise BadInput(f"{name}: open too wide to tell inside from outside, even with --repair; close it in a modeller")
 
 
@@ -62,7 +62,7 @@ def _outside(away: Floats32, reach: float) -> np.ndarray:
     return free == free[0, 0, 0]
 
 
-def _lightened(mesh: Mesh, tolerance: float) -> Mesh:
+def _simplified(mesh: Mesh, tolerance: float) -> Mesh:
     """Fewer triangles, moved by about the tolerance at most; the mesh itself where they would cross each other."""
     from manifold3d import Manifold, Mesh64
 
@@ -70,7 +70,7 @@ def _lightened(mesh: Mesh, tolerance: float) -> Mesh:
     for share in (1.0, 0.2):
         raw = solid.simplify(share * tolerance).to_mesh64()
         made = compact(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts, np.int64))
-        smooth = untangled(made, np.zeros(len(made.faces), np.int64))
+        smooth = untangle(made, np.zeros(len(made.faces), np.int64))
         if smooth is not None:
             return smooth[0]
     return mesh

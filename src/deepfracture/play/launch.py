@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from deepfracture.geometry.kernels import offset
+from deepfracture.geometry.aabb_tree import offset_from_triangle
 from deepfracture.types import Floats, Mesh
 from deepfracture.world import GRAVITY, STEEL, Ball, as_vector
 
@@ -103,6 +103,6 @@ def _distance(triangles: Floats, point: Floats) -> float:  # pragma: no cover
     """From a point to the nearest of some triangles [m]."""
     best = np.inf
     for t in range(len(triangles)):
-        x, y, z = offset(point[0], point[1], point[2], triangles[t])
+        x, y, z = offset_from_triangle(point[0], point[1], point[2], triangles[t])
         best = min(best, x * x + y * y + z * z)
     return np.sqrt(best)

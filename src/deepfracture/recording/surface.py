@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepfracture.geometry.appearance import INNER, interpolated, planar_uv
+from deepfracture.geometry.appearance import INNER, interpolate_appearance, planar_uv
 from deepfracture.types import Appearance, Finish, Floats, Floats32, Ints, Mesh, Shape, Track
 
 OUTER_CREASE = 40.0
@@ -112,7 +112,7 @@ def _outer(mesh: Mesh, faces: Ints, source: Ints | None, look: str, whole: Shape
         return (_shaded(mesh, mesh.faces[faces], look, OUTER_CREASE),)
     paint = painted(whole)
     if source is not None:
-        paint = interpolated(paint, whole.mesh, mesh.triangles[faces], source[faces])
+        paint = interpolate_appearance(paint, whole.mesh, mesh.triangles[faces], source[faces])
     parts = [(k, np.flatnonzero(paint.finish == k)) for k in np.unique(paint.finish)]
     return tuple(_painted(mesh, mesh.faces[faces[own]], look, paint, own, paint.finishes[k]) for k, own in parts)
 

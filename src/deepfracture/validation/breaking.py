@@ -12,7 +12,7 @@ import numpy as np
 
 from deepfracture.fracture import FractureBody, critical_stress, material, prepare_body, simulate
 from deepfracture.fracture.contact import contacts
-from deepfracture.geometry.solids import slab
+from deepfracture.geometry.solids import extruded_quads
 from deepfracture.types import Floats, FracturePattern, Grid, Impact, Mesh, Shape
 from deepfracture.validation.meshes import box
 from deepfracture.validation.report import Curve, Finding, Plot, Report
@@ -174,7 +174,7 @@ def notched_mesh() -> Mesh:
         ([(-1, root), (x, root), (x, half), (-1, half)], left, high),
         ([(x, root), (1, root), (1, half), (x, half)], right, high),
     )
-    return slab(quads, 0.2, 4)
+    return extruded_quads(quads, 0.2, 4)
 
 
 def notched_plate(resolution: int, seeds: int) -> Report:

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from deepfracture.geometry import signed_distance_points
+from deepfracture.geometry.aabb_tree import offset_from_triangle
 from deepfracture.geometry.intersect import self_intersections
-from deepfracture.geometry.kernels import offset
-from deepfracture.geometry.topology import ascending, compact, edges_of, fans, shell_volumes, shells
+from deepfracture.geometry.topology import compact, edges_of, fans, radix_argsort, shell_volumes, shells
 from deepfracture.types import BadInput, Floats, Fragments, Ints, Mesh, Shape
 
 SMALL = 1e-4
@@ -165,7 +165,7 @@ def _inherited(original: Mesh, fragments: Fragments, crossings: Sequence[Ints]) 
 def _check_piece(mesh: Mesh, crossings: int, inherited: int, voxel: float) -> FragmentCheck:
     edges = edges_of(mesh.faces)
     # An edge from a vertex to itself is its own opposite.
-    sound = edges.sound | ((edges.counts == 1) & edges.loops)
+    sound = edges.manifold | ((edges.counts == 1) & edges.self_loops)
     used = int(np.count_nonzero(np.bincount(mesh.faces.ravel())))
     bodies, stray = _bodies(mesh, shells(mesh.faces, edges))
     lengths, altitudes = _measured(mesh.triangles)
@@ -278,7 +278,7 @@ def _partners(faces: Ints, owner: Ints, thin: np.ndarray) -> Ints:
     flat = (a == b) | (b == c) | (c == a)
     turned = (b > c) & ~flat
     corners = np.column_stack([a, np.minimum(b, c), np.maximum(b, c)])
-    order = ascending(np.column_stack([corners, turned, owner]))
+    order = radix_argsort(np.column_stack([corners, turned, owner]))
     start = np.flatnonzero(_first(corners[order]))
     size = np.diff(start, append=len(order))
     pair = start[size == 2]
@@ -303,7 +303,7 @@ def _bends(points: Floats, faces: Ints, crack: Ints, voxel: float) -> tuple[floa
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     face = np.arange(3 * len(faces)) // 3
     rows = np.column_stack([edges, crack[face]])
-    order = ascending(rows)
+    order = radix_argsort(rows)
     edges, face = edges[order], face[order]
     pair = np.flatnonzero(~_first(rows[order])) - 1
     one, other = face[pair], face[pair + 1]
@@ -328,7 +328,7 @@ def _roughness(points: Floats, faces: Ints, crack: Ints, voxel: float) -> float:
     from scipy.spatial import KDTree
 
     squares: list[float] = []
-    order = ascending(crack)
+    order = radix_argsort(crack)
     for part in np.split(order, np.flatnonzero(_first(crack[order])))[1:]:
         own = points[np.unique(faces[part])]
         tree = KDTree(own)
@@ -367,6 +367,6 @@ def _distances(triangles: Floats, original: Floats, source: Ints):  # pragma: no
     for t in range(len(triangles)):
         for corner in range(3):
             p = triangles[t, corner]
-            x, y, z = offset(p[0], p[1], p[2], original[source[t]])
+            x, y, z = offset_from_triangle(p[0], p[1], p[2], original[source[t]])
             found[t] = max(found[t], np.sqrt(x * x + y * y + z * z))
     return found

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfracture.geometry import closest
+from deepfracture.geometry import closest_points
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.types import Floats, Impact, Mesh
 from deepfracture.world.engine import BodyState, ContactPoint
@@ -158,7 +158,7 @@ def _project_to_surface(mesh: Mesh, outside: Floats) -> tuple[Floats, Floats]:
 
     The direction from the closest point of a surface to a point outside is normal to the surface: in a triangle it is
     the triangle's normal, on an edge or vertex the one of its many normals that faces the striker."""
-    found = closest(mesh, outside)
+    found = closest_points(mesh, outside)
     away = outside - found.points
     length = np.linalg.norm(away, axis=1, keepdims=True)
     area = mesh.area_vectors[found.faces]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepfracture.geometry import MassProperties, mass_properties
-from deepfracture.geometry.convex.hulls import piece_hulls, whole_hulls
+from deepfracture.geometry.convex.hulls import fragment_hulls, shape_hulls
 from deepfracture.types import BadInput, Fragments, Material, Shape
 from deepfracture.world.collisions import CollisionEvent, Step, collision_event
 from deepfracture.world.engine import BodyState, Engine
@@ -87,7 +87,7 @@ class PhysicsWorld:
         self.remove(body)
         assert body.whole is not None
         generation = body.generation + 1
-        hulls = piece_hulls([fragment.mesh for fragment in fragments])
+        hulls = fragment_hulls([fragment.mesh for fragment in fragments])
         added = []
         for i, (fragment, hull) in enumerate(zip(fragments, hulls, strict=True)):
             name = f"{body.name}.{i:03d}"
@@ -156,7 +156,7 @@ class PhysicsWorld:
         quat = np.asarray(placed.quat_wxyz) / np.linalg.norm(placed.quat_wxyz)
         position, velocity = np.asarray(placed.position), np.asarray(placed.velocity)
         state = BodyState(position, quat, velocity, np.asarray(placed.angular_velocity))
-        hulls = whole_hulls(shape.mesh).points
+        hulls = shape_hulls(shape.mesh).points
         number = self.engine.add_body(hulls, mass, state)
         self.bodies[number] = RigidBody(number, name, "shape", mass, shape.mesh, hulls=hulls, shape=shape, whole=shape)
 

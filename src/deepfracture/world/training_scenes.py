@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfracture.geometry.convex.hulls import whole_hulls
+from deepfracture.geometry.convex.hulls import shape_hulls
 from deepfracture.geometry.rotations import quat_from_matrix, quat_multiply, rotation_matrix
 from deepfracture.runtime.suggest import did_you_mean
 from deepfracture.types import BadInput, Floats, Mesh, Shape
@@ -159,7 +159,7 @@ def _support_block(mesh: Mesh, turn: Floats, low: float, high: float) -> Block:
     from scipy.spatial import ConvexHull
 
     lowest = np.inf
-    for points in whole_hulls(mesh).points:
+    for points in shape_hulls(mesh).points:
         turned = points @ turn.T
         triangles = turned[ConvexHull(turned, qhull_options="QJ").simplices]
         lowest = min(lowest, _lowest(triangles, low, high))

@@ -11,7 +11,7 @@ import pytest
 from deepfracture.carve import cut
 from deepfracture.dataset import CollisionResult, Local, SimulateOptions, simulate_collisions
 from deepfracture.fracture import material
-from deepfracture.geometry import builtin, faults, signed_distance
+from deepfracture.geometry import builtin, mesh_defects, signed_distance
 from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Grid, Impact, Mesh, Shape
 
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
@@ -104,7 +104,7 @@ def test_degenerate_meshes_are_closed_and_degenerate(name: str) -> None:
     from degenerate import DEGENERATE, LEG, TOUCHED
 
     mesh = DEGENERATE[name]().mesh
-    assert faults(mesh).closed
+    assert mesh_defects(mesh).closed
     heights = 2 * np.linalg.norm(mesh.area_vectors, axis=1) / np.linalg.norm(np.ptp(mesh.triangles, axis=1), axis=1)
     if name == "thin_legs":
         assert np.ptp(mesh.vertices[mesh.vertices[:, 2] < 0][:, 0]) == pytest.approx(1.0)

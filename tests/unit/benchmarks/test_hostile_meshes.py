@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfracture.geometry import check_solid, faults, load_shape, normalise
+from deepfracture.geometry import check_solid, load_shape, mesh_defects, normalise
 from deepfracture.geometry.repair import repair
-from deepfracture.geometry.untangle import crossing_faces, untangled
+from deepfracture.geometry.untangle import self_intersecting_faces, untangle
 from deepfracture.runtime.progress import log
 from deepfracture.types import BadInput, Mesh
 
@@ -102,7 +102,7 @@ def test_a_surface_that_runs_through_itself_is_told_of_and_mended(
 ) -> None:
     angle = np.arange(60) / 60 * 2 * np.pi
     eight = Mesh(*tube(np.stack([np.sin(angle), np.sin(2 * angle) / 2, 0.02 * np.cos(angle)], -1), 0.12))
-    assert faults(eight).closed and len(crossing_faces(eight))
+    assert mesh_defects(eight).closed and len(self_intersecting_faces(eight))
     path = tmp_path / "eight.obj"
     rows = ["v {} {} {}\n".format(*p) for p in eight.vertices] + ["f {} {} {}\n".format(*f) for f in eight.faces + 1]
     path.write_text("".join(rows))
@@ -114,7 +114,7 @@ def test_a_surface_that_runs_through_itself_is_told_of_and_mended(
         mended = load_shape(str(path), repair=True)
     finally:
         log.removeHandler(caplog.handler)
-    assert not len(crossing_faces(mended.mesh)) and faults(mended.mesh).closed
+    assert not len(self_intersecting_faces(mended.mesh)) and mesh_defects(mended.mesh).closed
     # Where the tube passes through itself it counts once.
     assert 0.9 * abs(eight.volume) < mended.mesh.volume * mended.scale**3 < abs(eight.volume)
 
@@ -124,9 +124,9 @@ def test_small_tangles_are_smoothed_and_all_else_stays() -> None:
     tangle = np.linalg.norm(vertices - [0, 0, 1], axis=1) < 0.15
     rough = vertices + tangle[:, None] * np.random.default_rng(1).normal(size=vertices.shape) * 0.045
     mesh = Mesh(rough, faces)
-    assert len(crossing_faces(mesh))
-    smooth, count = untangled(mesh, np.zeros(len(faces), np.int64)) or (mesh, 0)
-    assert count and not len(crossing_faces(smooth))
+    assert len(self_intersecting_faces(mesh))
+    smooth, count = untangle(mesh, np.zeros(len(faces), np.int64)) or (mesh, 0)
+    assert count and not len(self_intersecting_faces(smooth))
     far = np.linalg.norm(vertices - [0, 0, 1], axis=1) > 0.4
     np.testing.assert_array_equal(smooth.vertices[far], mesh.vertices[far])
 
@@ -134,7 +134,7 @@ def test_small_tangles_are_smoothed_and_all_else_stays() -> None:
 def test_shells_that_overlap_are_united_although_faces_cross() -> None:
     rings = joined(torus(1, 0.2), (torus(1, 0.2)[0] + [0.9, 0, 0], torus(1, 0.2)[1]))
     solid = repair(Mesh(*rings), "rings")
-    assert faults(solid).closed and faults(solid).shells == 1 and not len(crossing_faces(solid))
+    assert mesh_defects(solid).closed and mesh_defects(solid).shells == 1 and not len(self_intersecting_faces(solid))
     assert check_solid(solid, "rings").volume < 2 * Mesh(*torus(1, 0.2)).volume
     assert normalise(solid, "rings").mesh.bounds.max() == pytest.approx(1)
 

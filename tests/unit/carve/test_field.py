@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from deepfracture.carve import encode, segment, segment_as_published, voronoi_pattern
-from deepfracture.geometry import distance_to_samples
+from deepfracture.geometry import distance_to_oriented_points
 from deepfracture.types import BadInput, FracturePattern, Grid, Volume
 
 GRID = Grid(64)
@@ -33,7 +33,7 @@ def variation_of_information(a: np.ndarray, b: np.ndarray) -> float:
 
 def test_distance_to_a_sphere_of_points():
     points = 0.6 * on_sphere(12000)
-    found = distance_to_samples(GRID, points, points / 0.6)
+    found = distance_to_oriented_points(GRID, points, points / 0.6)
     error = np.abs(found - np.abs(np.linalg.norm(GRID.centres(), axis=-1) - 0.6)) / GRID.spacing
     assert error.mean() < 0.03 and error.max() < 0.25
 
@@ -42,7 +42,7 @@ def test_every_voxel_finds_the_nearest_of_many_points():
     grid = Grid(32)
     points = np.random.default_rng(0).uniform(-1, 1, (40, 3))  # so sparse that the plane of a point says nothing
     normals = np.tile([0.0, 0.0, 1.0], (40, 1))
-    found = distance_to_samples(grid, points, normals)
+    found = distance_to_oriented_points(grid, points, normals)
     away = grid.centres()[..., None, :] - points
     nearest = np.take_along_axis(away, (away**2).sum(-1).argmin(-1)[..., None, None], axis=-2)[..., 0, :]
     spacing, _ = KDTree(points).query(points, k=2)
@@ -55,7 +55,7 @@ def test_distance_past_the_rim_of_a_crack_is_to_the_rim():
     side = np.linspace(-0.3, 0.3, 80)
     x, y = np.meshgrid(side, side)
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=-1)
-    found = distance_to_samples(GRID, points, np.tile([0.0, 0.0, -1.0], (len(points), 1)))
+    found = distance_to_oriented_points(GRID, points, np.tile([0.0, 0.0, -1.0], (len(points), 1)))
     past = np.maximum(np.abs(GRID.centres()) - [0.3, 0.3, 9], 0)
     past[..., 2] = GRID.centres()[..., 2] - 0.1
     error = np.abs(found - np.linalg.norm(past, axis=-1)) / GRID.spacing
@@ -64,11 +64,11 @@ def test_distance_past_the_rim_of_a_crack_is_to_the_rim():
 
 
 def test_distance_without_cracks_is_far_and_bad_points_are_refused():
-    assert (distance_to_samples(GRID, np.zeros((0, 3)), np.zeros((0, 3))) > 3.4).all()
+    assert (distance_to_oriented_points(GRID, np.zeros((0, 3)), np.zeros((0, 3))) > 3.4).all()
     with pytest.raises(BadInput, match=r"\(n, 3\)"):
-        distance_to_samples(GRID, np.zeros((2, 3)), np.zeros((1, 3)))
+        distance_to_oriented_points(GRID, np.zeros((2, 3)), np.zeros((1, 3)))
     with pytest.raises(BadInput, match="finite"):
-        distance_to_samples(GRID, np.full((1, 3), np.nan), np.ones((1, 3)))
+        distance_to_oriented_points(GRID, np.full((1, 3), np.nan), np.ones((1, 3)))
 
 
 def test_two_cells_have_the_exact_distance_to_their_wall():

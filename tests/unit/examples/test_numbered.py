@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import deepfracture as df
-from deepfracture.geometry import faults, read_triangles
+from deepfracture.geometry import mesh_defects, read_triangles
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -53,9 +53,9 @@ def test_02_a_damaged_scan_comes_back_in_its_millimetres(tmp_path: Path, caplog:
         example.your_own_mesh(out=tmp_path, breaker="voronoi", resolution=32)
     assert "boundary edges" in caplog.text and "opposite orientation" in caplog.text
     scan = read_triangles(tmp_path / "scan.obj")
-    assert not faults(scan).closed
+    assert not mesh_defects(scan).closed
     pieces = [read_triangles(path) for path in (tmp_path / "pieces").glob("*.ply")]
-    assert len(pieces) > 1 and all(faults(piece).closed for piece in pieces)
+    assert len(pieces) > 1 and all(mesh_defects(piece).closed for piece in pieces)
     corners = np.concatenate([piece.bounds for piece in pieces])
     assert corners.min(axis=0) == pytest.approx(scan.bounds[0], abs=0.2)
     assert corners.max(axis=0) == pytest.approx(scan.bounds[1], abs=0.2)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from deepfracture.export import write_fragments
-from deepfracture.geometry import faults, load_shape
+from deepfracture.geometry import load_shape, mesh_defects
 from deepfracture.runtime.files import atomic_file, atomic_folder
 from deepfracture.types import Finish, Shape
 
@@ -77,7 +77,7 @@ def test_painted_fragments_come_as_obj_too_with_their_materials(cube):
     texture = shape.appearance.finishes[0].texture
     for piece, path in zip(fragments, paths, strict=True):
         read = load_shape(str(path.with_suffix(".obj")))
-        assert faults(read.mesh).closed and len(read.mesh.faces) == len(piece.mesh.faces)
+        assert mesh_defects(read.mesh).closed and len(read.mesh.faces) == len(piece.mesh.faces)
         names = [finish.name for finish in read.appearance.finishes]
         assert set(names) <= {"glaze", "wax", "inner"} and "inner" in names
         finish = np.array(names)[read.appearance.finish]

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from deepfracture.export import write_sequence
-from deepfracture.geometry import faults
+from deepfracture.geometry import mesh_defects
 from deepfracture.geometry.wavefront import read_obj
 from deepfracture.recording.motion import pose
 from deepfracture.types import BadInput, Mesh, Rigid
@@ -70,7 +70,7 @@ def test_every_body_is_where_it_was_and_only_while_it_was(recording, tmp_path):
             apart = np.abs(np.sort(places[faces].mean(axis=1), axis=0) - np.sort(there.mean(axis=1), axis=0))
             assert apart.max() < 1e-5
             used, packed = np.unique(faces, return_inverse=True)
-            assert faults(Mesh(places[used], packed.reshape(-1, 3))).closed
+            assert mesh_defects(Mesh(places[used], packed.reshape(-1, 3))).closed
 
 
 def test_between_the_recorded_frames_the_centre_of_mass_flies_straight(recording, tmp_path):

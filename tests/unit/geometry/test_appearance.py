@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepfracture.geometry import builtin, load_shape
-from deepfracture.geometry.appearance import INNER, barycentric, carried, followed, planar_uv
+from deepfracture.geometry.appearance import INNER, barycentric, fragment_appearance, planar_uv, transfer_appearance
 from deepfracture.types import Appearance, BadInput, Finish, Fragments, Mesh, Shape
 from deepfracture.world.refracture import fragment_as_shape, fragments_to_whole
 
@@ -63,7 +63,9 @@ def pieces(ball) -> Fragments:
 def test_every_outer_corner_has_what_the_whole_has_there(ball, pieces):
     given = wild(len(ball.mesh.faces))
     counts = [
-        check_outside(carried(given, ball.mesh, piece.mesh, piece.source), given, ball.mesh, piece.mesh, piece.source)
+        check_outside(
+            fragment_appearance(given, ball.mesh, piece.mesh, piece.source), given, ball.mesh, piece.mesh, piece.source
+        )
         for piece in pieces
     ]
     assert len(counts) >= 5 and sum(counts) > len(ball.mesh.faces)
@@ -74,7 +76,7 @@ def test_a_linear_coordinate_stays_linear(ball, pieces):
     given = Appearance(np.zeros(len(uv), int), uv=uv)
     for piece in pieces:
         outer = piece.source >= 0
-        look = carried(given, ball.mesh, piece.mesh, piece.source)
+        look = fragment_appearance(given, ball.mesh, piece.mesh, piece.source)
         assert np.abs(look.uv[outer] - piece.mesh.triangles[outer] @ TURN.T).max() < 1e-6
         assert look.normals is None and look.colours is None
 
@@ -86,14 +88,14 @@ def test_fragments_of_fragments_refer_to_the_whole(ball, pieces):
     again = fragments_to_whole(tools["broken"](shape), shape, piece.source)
     assert len(again) > 1
     for small in again:
-        look = carried(given, ball.mesh, small.mesh, small.source)
+        look = fragment_appearance(given, ball.mesh, small.mesh, small.source)
         check_outside(look, given, ball.mesh, small.mesh, small.source)
 
 
 def test_crack_faces_have_the_stone_and_coordinates_in_metres(ball, pieces):
     given = wild(len(ball.mesh.faces))
     for piece in pieces:
-        look = carried(given, ball.mesh, piece.mesh, piece.source)
+        look = fragment_appearance(given, ball.mesh, piece.mesh, piece.source)
         inner = piece.source < 0
         assert inner.any()
         assert (look.finish[inner] == 3).all() and look.finishes[3] is INNER
@@ -160,7 +162,7 @@ def test_a_cleaned_mesh_keeps_the_corners_of_its_faces():
     corner = (np.arange(3) + turn[:, None]) % 3
     corner[::2] = corner[::2, ::-1]
     faces = np.take_along_axis(mesh.faces[order], corner, axis=1)
-    look, new = followed(given, soup, Mesh(mesh.vertices, faces))
+    look, new = transfer_appearance(given, soup, Mesh(mesh.vertices, faces))
     assert new == 0
     np.testing.assert_allclose(look.uv, np.take_along_axis(given.uv[order], corner[:, :, None], axis=1), atol=1e-6)
     assert (look.colours == np.take_along_axis(given.colours[order], corner[:, :, None], axis=1)).all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfracture.geometry import BUILTIN, builtin, closest, faults, signed_distance_points
+from deepfracture.geometry import BUILTIN, builtin, closest_points, mesh_defects, signed_distance_points
 from deepfracture.types import BadInput
 
 GENUS = {"mug": 1, "letter_a": 1, "chair": 1}
@@ -14,7 +14,7 @@ MADE = [name for name in BUILTIN if name != "bunny"]
 def test_closed_one_body_right_genus_and_normalised(name):
     shape = builtin(name)
     mesh = shape.mesh
-    found = faults(mesh)
+    found = mesh_defects(mesh)
     assert found.closed and found.shells == 1
     assert len(mesh.vertices) - len(mesh.faces) // 2 == 2 - 2 * GENUS.get(name, 0)
     assert mesh.volume > 0
@@ -57,7 +57,7 @@ def test_the_pot_has_an_even_wall():
     middle = mesh.vertices[inner]
     far = np.array([np.linalg.norm(mesh.vertices[outer] - p, axis=1).min() for p in middle[::20]])
     assert far.min() > 0.16 and far.max() < 0.2
-    assert closest(mesh, [[0.0, 0.0, 0.0]]).distance[0] > 0.4
+    assert closest_points(mesh, [[0.0, 0.0, 0.0]]).distance[0] > 0.4
 
 
 def test_the_bar_is_two_by_four_tenths():
@@ -86,7 +86,7 @@ def test_unknown_names_list_the_known_ones():
 
 def test_the_bunny_stands_on_its_feet():
     shape = builtin("bunny")
-    assert faults(shape.mesh).closed and len(shape.mesh.faces) == 902
+    assert mesh_defects(shape.mesh).closed and len(shape.mesh.faces) == 902
     heights = shape.mesh.vertices[:, 2]
     # Ears are thin and up, feet are down: the middle of mass is below the middle of the box.
     assert np.median(heights) < 0.2

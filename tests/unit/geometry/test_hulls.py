@@ -9,20 +9,20 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from deepfracture.carve import cut
 from deepfracture.geometry import builtin, signed_distance, signed_distance_points
-from deepfracture.geometry.convex.hulls import PIECE_EXCESS, WHOLE_PARTS, piece_hulls, whole_hulls
-from deepfracture.geometry.convex.polytope import between, clip, corners, hull, planes, volume
+from deepfracture.geometry.convex.hulls import FRAGMENT_EXCESS, SHAPE_PARTS, fragment_hulls, shape_hulls
+from deepfracture.geometry.convex.polytope import clip, corners, face_planes, least_overlap_plane, quickhull, volume
 from deepfracture.types import FracturePattern, Grid, Mesh
 
 THIN = 1e-3
-"""No hull that an engine gets is thinner [m]: what is flat gets `PIECE_SAG`, of which neighbours may cut off some."""
+"""No hull of an engine is thinner [m]: a flat one gets `FRAGMENT_HULL_TOL`, of which neighbours may cut off some."""
 
 
 @pytest.mark.parametrize(("name", "air"), [("bar", 1e-6), ("mug", 0.1), ("pot", 0.17), ("letter_a", 0.08)])
 def test_parts_fill_a_shape_and_little_more(name: str, air: float) -> None:
     mesh = builtin(name).mesh
-    hulls = whole_hulls(mesh)
+    hulls = shape_hulls(mesh)
     volume = sum(ConvexHull(points).volume for points in hulls.points)
-    assert len(hulls.points) <= WHOLE_PARTS
+    assert len(hulls.points) <= SHAPE_PARTS
     assert max(len(points) for points in hulls.points) <= 160
     assert -0.02 < volume / mesh.volume - 1 < air
     # Wherever there is solid near the surface there is a part.
@@ -39,7 +39,7 @@ def test_parts_fill_a_shape_and_little_more(name: str, air: float) -> None:
 
 def test_a_shape_is_decomposed_once() -> None:
     mesh = builtin("bar").mesh
-    assert whole_hulls(mesh) is whole_hulls(mesh)
+    assert shape_hulls(mesh) is shape_hulls(mesh)
 
 
 def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
@@ -50,9 +50,9 @@ def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> M
 
 
 def test_a_convex_piece_is_one_hull_shrunk_towards_its_centre() -> None:
-    (hull,) = piece_hulls([_box((0, 0, 0), (1, 2, 0.5))])
-    assert len(hull.points) == 1
-    low, high = hull.points[0].min(axis=0), hull.points[0].max(axis=0)
+    (quickhull,) = fragment_hulls([_box((0, 0, 0), (1, 2, 0.5))])
+    assert len(quickhull.points) == 1
+    low, high = quickhull.points[0].min(axis=0), quickhull.points[0].max(axis=0)
     assert (low > 0).all()
     assert (low < 0.006).all()
     np.testing.assert_allclose(low + high, [1, 2, 0.5], atol=1e-9)
@@ -62,8 +62,8 @@ def test_a_round_piece_keeps_its_roundness() -> None:
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
-    (hull,) = piece_hulls([Mesh(ball.vertices, ball.faces)])
-    (points,) = hull.points
+    (quickhull,) = fragment_hulls([Mesh(ball.vertices, ball.faces)])
+    (points,) = quickhull.points
     faces = ConvexHull(points).equations
     assert -faces[:, 3].max() > 0.49  # every face of the hull is that far out
 
@@ -75,7 +75,7 @@ def test_pieces_that_lie_in_each_other_do_not_collide_at_birth() -> None:
     corner = manifold3d.Manifold.cube([2, 2, 1]) - manifold3d.Manifold.cube([1.6, 1.6, 1]).translate([0.4, 0.4, 0])
     raw = corner.to_mesh()
     letter = Mesh(np.asarray(raw.vert_properties, float)[:, :3], np.asarray(raw.tri_verts, np.int64))
-    (parts,) = piece_hulls([letter])
+    (parts,) = fragment_hulls([letter])
     assert len(parts.points) > 1
     assert parts.excess < 0.2
     inside = np.random.default_rng(0).uniform([0.5, 0.5, 0], [1.9, 1.9, 1], (2000, 3))
@@ -88,16 +88,16 @@ def test_pieces_that_lie_in_each_other_do_not_collide_at_birth() -> None:
 def test_a_hull_is_that_of_scipy_but_for_its_sag() -> None:
     rng = np.random.default_rng(1)
     for points in (rng.normal(size=(12, 3)), rng.uniform(size=(300, 3)), rng.integers(0, 4, (200, 3)).astype(float)):
-        found = hull(points, 1e-6)
+        found = quickhull(points, 1e-6)
         assert volume(found) == pytest.approx(ConvexHull(points).volume, rel=1e-4)
-        exact = ConvexHull(corners(hull(points, 0.05))).equations
+        exact = ConvexHull(corners(quickhull(points, 0.05))).equations
         assert (points @ exact[:, :3].T + exact[:, 3]).max() < 0.05 + 1e-4
 
 
 @pytest.mark.parametrize("flat", [(1, 1, 0), (1, 0, 0), (0, 0, 0)])
 def test_what_is_flat_has_a_solid_hull(flat: tuple[float, float, float]) -> None:
     points = np.random.default_rng(2).uniform(-1, 1, (40, 3)) * flat
-    found = hull(points, 0.004)
+    found = quickhull(points, 0.004)
     sides = np.ptp(corners(found), axis=0)
     assert volume(found) == pytest.approx(np.prod(sides))
     assert sides.min() == pytest.approx(0.004)
@@ -136,16 +136,16 @@ def test_hulls_of_neighbours_do_not_overlap() -> None:
     halves = _wavy_halves()
     assert sum(half.volume for half in halves) == pytest.approx(1)
     assert np.ptp(halves[0].vertices[:, 2]) + np.ptp(halves[1].vertices[:, 2]) > 1.09
-    one, two = piece_hulls(halves)
+    one, two = fragment_hulls(halves)
     for first in one.points:
         for second in two.points:
-            solids = hull(first, 1e-4), hull(second, 1e-4)
+            solids = quickhull(first, 1e-4), quickhull(second, 1e-4)
             plane = np.array([0, 0, 0, 0, np.inf])
-            between(planes(solids[0]), second, plane)
-            between(planes(solids[1]), first, plane)
+            least_overlap_plane(face_planes(solids[0]), second, plane)
+            least_overlap_plane(face_planes(solids[1]), first, plane)
             assert plane[4] < 1e-3
     for hulls in (one, two):
-        assert abs(hulls.excess) < PIECE_EXCESS
+        assert abs(hulls.excess) < FRAGMENT_EXCESS
 
 
 @pytest.mark.parametrize(("name", "blur"), [("pot", 0.0), ("plate", 1.0), ("chair", 0.0)])
@@ -156,7 +156,7 @@ def test_no_hull_is_thin_however_thin_the_triangles_of_its_fragment_are(name: st
     labels = (1 + np.argmax(noise, axis=0)) * (signed_distance(shape.mesh, grid) > 0)
     distance = rng.uniform(0, grid.spacing, grid.shape).astype(np.float32)
     fragments = cut(shape, FracturePattern(grid, labels, distance), density=1000.0)
-    hulls = [points for found in piece_hulls([piece.mesh for piece in fragments]) for points in found.points]
+    hulls = [points for found in fragment_hulls([piece.mesh for piece in fragments]) for points in found.points]
     assert len(hulls) > 100
     assert min(_width(points) for points in hulls) > THIN
 

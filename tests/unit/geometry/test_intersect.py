@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from deepfracture.geometry import builtin, intersect
-from deepfracture.geometry.intersect import TOUCH, _beside, _boxes, _cross, _planes, self_intersections
+from deepfracture.geometry.intersect import (
+    TOUCH_TOL,
+    _boxes,
+    _on_one_side,
+    _triangles_intersect,
+    _unit_normals,
+    self_intersections,
+)
 from deepfracture.types import BadInput, Mesh
 from deepfracture.validation.meshes import box, icosphere, together
 
@@ -90,7 +97,7 @@ def test_a_pinched_cone_touches_itself_and_a_pushed_one_crosses() -> None:
         return turned(together(cone, other))
 
     assert len(self_intersections(cones(0.0))) == 0
-    assert len(self_intersections(cones(TOUCH / 4))) == 0
+    assert len(self_intersections(cones(TOUCH_TOL / 4))) == 0
     assert len(self_intersections(cones(0.1))) >= 7
 
 
@@ -162,19 +169,19 @@ def test_the_quick_look_beside_a_plane_never_hides_a_crossing():
         if round_ % 3 == 0:  # much in common planes
             points = np.round(points * 4) / 4
         corners = points[rng.integers(0, 40, (40, 3))]
-        (low, high), normals = _boxes(corners, TOUCH), _planes(corners)
+        (low, high), normals = _boxes(corners, TOUCH_TOL), _unit_normals(corners)
         whole = np.flatnonzero(low[:, 0] <= high[:, 0])
         for s in whole:
             for t in whole:
-                if s != t and _beside(normals, corners, s, t, TOUCH):
+                if s != t and _on_one_side(normals, corners, s, t, TOUCH_TOL):
                     looked += 1
-                    assert not _cross(corners[s], corners[t], TOUCH)
+                    assert not _triangles_intersect(corners[s], corners[t], TOUCH_TOL)
     assert looked > 5000
 
 
 @pytest.mark.parametrize("spread", [0.02, 0.3, 3.0])
 def test_faces_round_a_hub_cross_as_all_others_do(spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, n = np.random.default_rng(3), 2 * intersect.HUB
+    rng, n = np.random.default_rng(3), 2 * intersect.HUB_VALENCE
     rim = [rng.normal(size=(n, 1, 3)) + spread * rng.normal(size=(n, 2, 3)) for _ in range(2)]
     rim[0][:9] = [(1, 0, 0), (-1, 0.01, 0)]  # wide, and one upon the other
     rim[1][:20, 1] = rim[1][1:21, 0]  # neighbours

@@ -5,17 +5,17 @@ import pytest
 
 from deepfracture.geometry import (
     builtin,
-    closest,
-    faults,
+    closest_points,
     mass_properties,
+    mesh_defects,
     remesh,
     signed_distance,
     signed_distance_lattice,
     signed_distance_points,
 )
+from deepfracture.geometry.aabb_tree import offset_from_triangle
 from deepfracture.geometry.isosurface import isosurface
-from deepfracture.geometry.kernels import offset
-from deepfracture.geometry.solids import box, turned
+from deepfracture.geometry.solids import box, revolve
 from deepfracture.geometry.topology import split_pinches
 from deepfracture.types import BadInput, Grid, Mesh
 
@@ -31,11 +31,11 @@ def box_distance(points):
 
 def ball(length=0.05):
     angle = np.linspace(-np.pi / 2, np.pi / 2, 200)
-    return turned([np.column_stack([np.maximum(np.cos(angle), 0), np.sin(angle)])], length)
+    return revolve([np.column_stack([np.maximum(np.cos(angle), 0), np.sin(angle)])], length)
 
 
 def brute_force(mesh, points):
-    return np.array([min(np.linalg.norm(offset(*p, t)) for t in mesh.triangles) for p in points])
+    return np.array([min(np.linalg.norm(offset_from_triangle(*p, t)) for t in mesh.triangles) for p in points])
 
 
 def test_distance_of_a_box_is_exact_with_faces_on_lattice_planes():
@@ -104,19 +104,19 @@ def test_overlapping_parts_are_inside_and_inward_shells_are_voids():
 def test_closest_lies_in_the_face_it_names():
     mesh = builtin("chair").mesh
     points = np.random.default_rng(2).uniform(-1.5, 1.5, (300, 3))
-    found = closest(mesh, points)
+    found = closest_points(mesh, points)
     np.testing.assert_allclose(np.linalg.norm(points - found.points, axis=1), found.distance, atol=1e-12)
     for point, face in zip(found.points, found.faces, strict=True):
-        assert np.linalg.norm(offset(*point, mesh.triangles[face])) < 1e-12
+        assert np.linalg.norm(offset_from_triangle(*point, mesh.triangles[face])) < 1e-12
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-12, 1e-6])
 def test_distance_to_slivers_and_triangles_without_area(height):
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0.4, height, 0]])
-    assert np.linalg.norm(offset(0.7, 0.3, 0.4, corners)) == pytest.approx(0.5, abs=2e-6)
-    assert np.linalg.norm(offset(-0.3, 0.0, 0.4, corners)) == pytest.approx(0.5)
+    assert np.linalg.norm(offset_from_triangle(0.7, 0.3, 0.4, corners)) == pytest.approx(0.5, abs=2e-6)
+    assert np.linalg.norm(offset_from_triangle(-0.3, 0.0, 0.4, corners)) == pytest.approx(0.5)
     point = np.zeros((3, 3))
-    assert np.linalg.norm(offset(0.0, 0.6, 0.8, point)) == pytest.approx(1)
+    assert np.linalg.norm(offset_from_triangle(0.0, 0.6, 0.8, point)) == pytest.approx(1)
 
 
 def test_distance_to_a_triangle_flat_on_its_side_that_rounding_gives_an_area():
@@ -125,17 +125,17 @@ def test_distance_to_a_triangle_flat_on_its_side_that_rounding_gives_an_area():
         np.array([0.16026251910904496, 0.4943416608899148, 0.44035849172965486]),
     )
     on_the_side = 0.14943838985233657, 0.5043271895987091, 0.4661945622750766
-    assert np.linalg.norm(offset(*on_the_side, np.array([a, b, (a + b) / 2]))) < 1e-12
+    assert np.linalg.norm(offset_from_triangle(*on_the_side, np.array([a, b, (a + b) / 2]))) < 1e-12
 
 
 def test_bad_queries_say_what_is_wrong():
     mesh = box((1, 1, 1), 0.5)
     with pytest.raises(BadInput, match=r"shape \(n, 3\)"):
-        closest(mesh, [[1, 2]])
+        closest_points(mesh, [[1, 2]])
     with pytest.raises(BadInput, match="spacing must be positive"):
         signed_distance_lattice(mesh, (0, 0, 0), 0.0, (2, 2, 2))
     with pytest.raises(BadInput, match="no triangles"):
-        closest(Mesh(np.zeros((3, 3)), np.zeros((0, 3), int)), [[0, 0, 0]])
+        closest_points(Mesh(np.zeros((3, 3)), np.zeros((0, 3), int)), [[0, 0, 0]])
 
 
 def test_mass_of_a_box_far_away():
@@ -171,7 +171,7 @@ def test_mass_properties_refuse_what_has_no_mass():
 def test_remesh_is_closed_even_and_keeps_the_volume(name, triangles):
     mesh = builtin(name).mesh
     made = remesh(mesh, triangles)
-    assert str(faults(made)) == ""
+    assert str(mesh_defects(made)) == ""
     assert euler(made) == euler(mesh)
     assert len(made.faces) == pytest.approx(triangles, rel=0.25)
     assert made.volume == pytest.approx(mesh.volume, rel=0.02)
@@ -187,7 +187,7 @@ def test_remesh_refines_a_box_of_twelve_triangles_and_follows_thin_limbs():
     # A rod thinner than a triangle: clusters go round it, and are parted.
     rod = box((2, 0.05, 0.05), 9.0)
     thin = remesh(rod, 300)
-    assert faults(thin).closed and thin.volume == pytest.approx(rod.volume, rel=0.02)
+    assert mesh_defects(thin).closed and thin.volume == pytest.approx(rod.volume, rel=0.02)
     assert euler(thin) == 2 and 300 <= len(thin.faces) <= 600
     assert np.quantile(shape_quality(thin), 0.05) > 0.2
     with pytest.raises(BadInput, match=r"30 triangles are too few .* ask for"):
@@ -212,7 +212,7 @@ def test_isosurfaces_are_closed_whatever_the_values():
     axis = np.linspace(-1.5, 1.5, 31)
     away = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).astype(np.float32)
     ball = isosurface(away - 1, np.full(3, -1.5), 0.1)
-    assert str(faults(ball)) == "" and euler(ball) == 2
+    assert str(mesh_defects(ball)) == "" and euler(ball) == 2
     assert ball.volume == pytest.approx(4 / 3 * np.pi, rel=0.01)
     assert np.linalg.norm(ball.vertices, axis=1) == pytest.approx(
         1, abs=0.009
@@ -220,7 +220,7 @@ def test_isosurfaces_are_closed_whatever_the_values():
     noise = np.random.default_rng(0).normal(size=(9, 9, 9)).astype(np.float32)
     noise[4, 4, 4] = 0
     wild = isosurface(np.pad(noise, 1, constant_values=1), np.zeros(3), 1.0)
-    assert str(faults(wild)) == "" and len(split_pinches(wild).vertices) == len(wild.vertices)
+    assert str(mesh_defects(wild)) == "" and len(split_pinches(wild).vertices) == len(wild.vertices)
     with pytest.raises(BadInput, match="positive all round"):
         isosurface(noise - 9, np.zeros(3), 1.0)
 

@@ -22,7 +22,7 @@ from deepfracture.carve.cutting.retriangulate import IntersectedMesh, retriangul
 from deepfracture.carve.cutting.shells import Solid
 from deepfracture.carve.cutting.short_edges import collapse_short_edges
 from deepfracture.carve.cutting.solids import CellFaces, solids
-from deepfracture.geometry import moments, properties_of
+from deepfracture.geometry import moments, properties_from_moments
 from deepfracture.runtime.parallel import parallel_invoke
 from deepfracture.runtime.progress import stage
 from deepfracture.types import (
@@ -224,5 +224,5 @@ def _inner_faces(triangles, cells, sides, crossed, corners, parent, shift):
 
 
 def _fragment(piece: Solid, density: float) -> Fragment:
-    mass = properties_of(piece.volume, piece.first, piece.second, piece.mesh.vertices[0], density)
+    mass = properties_from_moments(piece.volume, piece.first, piece.second, piece.mesh.vertices[0], density)
     return Fragment(piece.mesh, piece.source, mass.mass, mass.centre, mass.inertia)

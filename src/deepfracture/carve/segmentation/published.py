@@ -8,7 +8,7 @@ from numba import njit
 from deepfracture.carve.segmentation.segment import BAND
 from deepfracture.carve.segmentation.watershed import BUCKETS
 from deepfracture.geometry.disjoint_sets import find
-from deepfracture.geometry.sampled import FAR
+from deepfracture.geometry.oriented_points import FAR
 from deepfracture.types import BadInput, FracturePattern, Volume
 
 DEPTH = 0.04

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from deepfracture.geometry.disjoint_sets import find
-from deepfracture.geometry.sampled import FAR
+from deepfracture.geometry.oriented_points import FAR
 from deepfracture.types import Floats32, Ints, Labels
 
 BUCKETS = 1 << 16

@@ -1,7 +1,7 @@
-"""Convex parts of a fragment: the planes are planned on few triangles, the hulls are of all vertices.
+"""Convex parts of a fragment: the planes are found on few triangles, the hulls are of all vertices.
 
 A part is what planes leave of a solid. Its triangles are a closed soup (see `convex.clip`), which keeps the
-volume exact; the fans that close it also cover air, so only the skin has a say in the hull.
+volume exact; the fans that close it also cover empty space, so only the surface has a say in the hull.
 """
 
 from __future__ import annotations
@@ -9,22 +9,22 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deepfracture.geometry.convex.polytope import clip, corners, hull, put, volume
+from deepfracture.geometry.convex.polytope import clip, corners, quickhull, set_triangle, volume
 
 CELLS = 16
-"""Planes are planned on a fragment thinned to about this many vertices along its longest side ..."""
-ROUGH = 0.005
+"""Planes are found on a fragment clustered to about this many vertices along its longest side ..."""
+PLAN_TOL = 0.005
 """... with hulls out of which this share of that side may stand."""
 
 
 @njit(cache=True, nogil=True)
-def parts(vertices, faces, most, tolerance, sag, shrink, gap):
-    """Hulls that cover a closed mesh with at most `tolerance` of its volume too much, but at most `most` of them.
+def decompose(vertices, faces, max_parts, tolerance, hull_tol, shrink, gap):
+    """Hulls that cover a closed mesh with at most `tolerance` of its volume too much, but at most `max_parts` of them.
 
-    The part with the most air is halved across its longest axis until that is so, on the thinned mesh.
+    The part with the most excess volume is halved across its longest axis until that is so, on the clustered mesh.
 
     Args:
-        sag: What may stand out of a hull [m].
+        hull_tol: What may stand out of a hull [m].
         shrink, gap: A hull ends up nearer to its own centre by this share, but by at most `gap` [m].
 
     Returns:
@@ -32,41 +32,41 @@ def parts(vertices, faces, most, tolerance, sag, shrink, gap):
         mesh [m^3])
     """
     total = _volume(vertices, faces)
-    few, thin, size = _thinned(vertices, faces)
-    rough = max(sag, ROUGH * size)
-    soups, skins = [_soup(few, thin)], [np.ones(len(thin), np.bool_)]
-    rims = [np.empty((0, 3))]  # where planes have cut the skin of each part
-    hulls = [hull(few, rough)]
-    air = [volume(hulls[0]) - total]
-    of, home = np.zeros(len(few), np.int64), np.zeros(len(vertices), np.int64)  # part of each vertex
-    filled = volume(hulls[0])
-    while len(hulls) < most and filled > (1 + tolerance) * total and max(air) > 0:
-        worst = 0
-        for i in range(len(air)):
-            if air[i] > air[worst]:
-                worst = i
-        normal, offset = _middle(hulls[worst])
-        below, above, rim = clip(soups[worst], skins[worst], normal, offset)
+    coarse, coarse_faces, size = _clustered(vertices, faces)
+    plan_tol = max(hull_tol, PLAN_TOL * size)
+    soups, surfaces = [_triangles(coarse, coarse_faces)], [np.ones(len(coarse_faces), np.bool_)]
+    boundaries = [np.empty((0, 3))]  # where planes have cut the surface of each part
+    hulls = [quickhull(coarse, plan_tol)]
+    excess = [volume(hulls[0]) - total]
+    of, part_of_vertex = np.zeros(len(coarse), np.int64), np.zeros(len(vertices), np.int64)  # part of each vertex
+    hull_volume = volume(hulls[0])
+    while len(hulls) < max_parts and hull_volume > (1 + tolerance) * total and max(excess) > 0:
+        largest = 0
+        for i in range(len(excess)):
+            if excess[i] > excess[largest]:
+                largest = i
+        normal, offset = _bisecting_plane(hulls[largest])
+        below, above, boundary = clip(soups[largest], surfaces[largest], normal, offset)
         if below[1].sum() < 2 or above[1].sum() < 2:
-            air[worst] = 0.0  # no plane through it leaves two solids
+            excess[largest] = 0.0  # no plane through it leaves two solids
             continue
         new = len(hulls)
-        _part(few, of, worst, new, normal, offset)
-        _part(vertices, home, worst, new, normal, offset)
-        old = rims[worst] @ normal < offset
-        rims.append(np.concatenate((rims[worst][~old], rim)))
-        rims[worst] = np.concatenate((rims[worst][old], rim))
-        filled -= volume(hulls[worst])
-        hulls[worst] = _cover(few, of, worst, rims[worst], rough)
-        hulls.append(_cover(few, of, new, rims[new], rough))
-        filled += volume(hulls[worst]) + volume(hulls[new])
-        soups[worst], skins[worst] = below
+        _assign_side(coarse, of, largest, new, normal, offset)
+        _assign_side(vertices, part_of_vertex, largest, new, normal, offset)
+        old = boundaries[largest] @ normal < offset
+        boundaries.append(np.concatenate((boundaries[largest][~old], boundary)))
+        boundaries[largest] = np.concatenate((boundaries[largest][old], boundary))
+        hull_volume -= volume(hulls[largest])
+        hulls[largest] = _part_hull(coarse, of, largest, boundaries[largest], plan_tol)
+        hulls.append(_part_hull(coarse, of, new, boundaries[new], plan_tol))
+        hull_volume += volume(hulls[largest]) + volume(hulls[new])
+        soups[largest], surfaces[largest] = below
         soups.append(above[0])
-        skins.append(above[1])
-        air[worst] = volume(hulls[worst]) - volume(below[0])
-        air.append(volume(hulls[new]) - volume(above[0]))
+        surfaces.append(above[1])
+        excess[largest] = volume(hulls[largest]) - volume(below[0])
+        excess.append(volume(hulls[new]) - volume(above[0]))
     for i in range(len(hulls)):
-        hulls[i] = _cover(vertices, home, i, rims[i], sag)
+        hulls[i] = _part_hull(vertices, part_of_vertex, i, boundaries[i], hull_tol)
     starts = np.zeros(len(hulls) + 1, np.int64)
     for i in range(len(hulls)):
         starts[i + 1] = starts[i] + len(hulls[i])
@@ -82,15 +82,15 @@ def _shrunk(triangles, shrink, gap):
     centre = np.zeros(3)
     for i in range(len(points)):
         centre += points[i] / len(points)
-    most = 0.0
+    farthest = 0.0
     for i in range(len(points)):
         away = points[i] - centre
-        most = max(most, away @ away)
-    return centre + (1 - min(shrink, gap / np.sqrt(most))) * (triangles - centre)
+        farthest = max(farthest, away @ away)
+    return centre + (1 - min(shrink, gap / np.sqrt(farthest))) * (triangles - centre)
 
 
 @njit(cache=True, nogil=True)
-def _part(vertices, of, low, high, normal, offset):
+def _assign_side(vertices, of, low, high, normal, offset):
     """Move the vertices of part `low` that lie above a plane into part `high`."""
     x, y, z = normal[0], normal[1], normal[2]
     for i in range(len(vertices)):
@@ -99,24 +99,24 @@ def _part(vertices, of, low, high, normal, offset):
 
 
 @njit(cache=True, nogil=True)
-def _cover(vertices, of, part, rim, sag):
-    """Hull of a part: its vertices, and the rims where planes have cut it."""
-    points = np.empty((len(vertices) + len(rim), 3))
+def _part_hull(vertices, of, part, boundary, hull_tol):
+    """Hull of a part: its vertices, and the boundaries where planes have cut it."""
+    points = np.empty((len(vertices) + len(boundary), 3))
     m = 0
     for i in range(len(vertices)):
         if of[i] == part:
             for k in range(3):
                 points[m, k] = vertices[i, k]
             m += 1
-    for i in range(len(rim)):
+    for i in range(len(boundary)):
         for k in range(3):
-            points[m, k] = rim[i, k]
+            points[m, k] = boundary[i, k]
         m += 1
-    return hull(points[:m], sag)
+    return quickhull(points[:m], hull_tol)
 
 
 @njit(cache=True, nogil=True)
-def _middle(triangles):
+def _bisecting_plane(triangles):
     """The plane across the longest principal axis of a hull's corners, in its middle."""
     points = corners(triangles)
     centre = np.zeros(3)
@@ -140,7 +140,7 @@ def _middle(triangles):
 
 
 @njit(cache=True, nogil=True)
-def _thinned(vertices, faces):
+def _clustered(vertices, faces):
     """Vertices merged by the cells of a grid: (the outermost of each, faces, longest side [m]). A closed cycle stays
     one."""
     low, high = vertices[0].copy(), vertices[0].copy()
@@ -167,21 +167,21 @@ def _thinned(vertices, faces):
         of[i] = number[at]
         if away > reach[of[i]]:
             outermost[of[i]], reach[of[i]] = i, away
-    thin = np.empty((len(faces), 3), np.int64)
+    coarse_faces = np.empty((len(faces), 3), np.int64)
     m = 0
     for t in range(len(faces)):
         a, b, c = of[faces[t, 0]], of[faces[t, 1]], of[faces[t, 2]]
         if a != b and b != c and c != a:
-            thin[m, 0], thin[m, 1], thin[m, 2] = a, b, c
+            coarse_faces[m, 0], coarse_faces[m, 1], coarse_faces[m, 2] = a, b, c
             m += 1
-    return vertices[outermost[:count]], thin[:m], side * CELLS
+    return vertices[outermost[:count]], coarse_faces[:m], side * CELLS
 
 
 @njit(cache=True, nogil=True)
-def _soup(vertices, faces):
+def _triangles(vertices, faces):
     triangles = np.empty((len(faces), 3, 3))
     for t in range(len(faces)):
-        put(triangles, t, vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]])
+        set_triangle(triangles, t, vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]])
     return triangles
 
 

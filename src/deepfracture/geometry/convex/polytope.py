@@ -1,8 +1,8 @@
 """Convex polytopes as kernels: the hull of points, a solid or a polytope cut by a plane, planes between neighbours.
 
 A polytope is a soup of outward triangles (closed: a cycle), so a cut needs neither neighbours nor order. Hulls
-are quickhull (Barber, Dobkin, Huhdanpaa 1996), the farthest point first, until nothing stands out further than
-a given sag: a hull has no more corners than it needs.
+are quickhull (Barber, Dobkin, Huhdanpaa 1996), the farthest point first, until nothing lies farther outside than
+a given tolerance: a hull has no more corners than it needs.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from deepfracture.types import Floats, Ints
 
-CORNERS = 448
+MAX_CORNERS = 448
 """Most corners of a hull."""
-SAMPLE = 300
+START_POINTS = 300
 """About as many points say where the hull begins."""
 JOGGLE = 2e-5
 """While the hull is found, points are taken to lie up to so much elsewhere [m], at random: then no four lie in a
@@ -29,7 +29,7 @@ class _Faces(NamedTuple):
 
     corners: Ints
     """Numbers in the list of corners, shape (n, 3)."""
-    planes: Floats
+    face_planes: Floats
     """Outward unit normals, and minus their offsets, shape (n, 4)."""
     alive: NDArray[np.bool_]
     head: Ints
@@ -39,14 +39,14 @@ class _Faces(NamedTuple):
     """How far out the farthest is, and which."""
     after: Ints
     """Of points."""
-    spare: Ints
+    free_rows: Ints
     """Rows that are free, the next one last."""
-    ends: Ints
+    counters: Ints
     """One past the last row in use; number of spare rows."""
 
 
 @njit(cache=True, nogil=True)
-def put(triangles, n, a, b, c):
+def set_triangle(triangles, n, a, b, c):
     """Write the corners of triangle `n`."""
     for d in range(3):  # to assign whole rows is several times slower
         triangles[n, 0, d], triangles[n, 1, d], triangles[n, 2, d] = a[d], b[d], c[d]
@@ -65,20 +65,20 @@ def volume(triangles):
 
 
 @njit(cache=True, nogil=True)
-def hull(points, sag):
-    """Triangles of the convex hull of `points`, shape (m, 3, 3), but for what stands out less than `sag` [m].
+def quickhull(points, tolerance):
+    """Triangles of the convex hull of `points`, shape (m, 3, 3), but for what stands out less than `tolerance` [m].
 
-    What is flat (thinner than `sag`) becomes its box, `sag` thick at least: an engine needs a solid."""
+    What is flat (thinner than `tolerance`) becomes its box, `tolerance` thick at least: an engine needs a solid."""
     extremes = _extremes(points)
-    first = _simplex(points, extremes, sag)
+    first = _simplex(points, extremes, tolerance)
     if first[3] < 0:
-        first = _simplex(points, np.arange(len(points)), sag)
+        first = _simplex(points, np.arange(len(points)), tolerance)
     if first[3] < 0:
-        return _box(points, sag)
+        return _box(points, tolerance)
     given, points = points, _joggled(points)
-    corner = np.empty(CORNERS, np.int64)
+    corner = np.empty(MAX_CORNERS, np.int64)
     corner[:4] = first
-    most = 4 * CORNERS
+    most = 4 * MAX_CORNERS
     faces = _Faces(
         np.empty((most, 3), np.int64), np.empty((most, 4)), np.zeros(most, np.bool_), np.full(most, -1),
         np.zeros(most), np.full(most, -1), np.full(len(points), -1), np.arange(most)[::-1].copy(),
@@ -86,63 +86,63 @@ def hull(points, sag):
     )  # fmt: skip
     fresh = np.empty(most, np.int64)
     for f, (a, b, c) in enumerate(((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))):
-        fresh[f] = _add(points, corner, faces, a, b, c)
-    ahead = np.full((CORNERS, CORNERS), False)  # directed edges of the faces that a point sees
+        fresh[f] = _add_face(points, corner, faces, a, b, c)
+    ahead = np.full((MAX_CORNERS, MAX_CORNERS), False)  # directed edges of the faces that a point sees
     waiting = np.empty(len(points), np.int64)
-    waits = len(extremes)
-    waiting[:waits] = extremes
-    count = _grow(points, corner, faces, fresh, 4, ahead, waiting, waits, 4, sag)
-    for stride in (1 + len(points) // SAMPLE, 1):  # what a hull of some hundreds leaves outside is little
-        made = 0
-        for k in range(faces.ends[0]):
+    waiting_count = len(extremes)
+    waiting[:waiting_count] = extremes
+    count = _expand(points, corner, faces, fresh, 4, ahead, waiting, waiting_count, 4, tolerance)
+    for stride in (1 + len(points) // START_POINTS, 1):  # what a hull of some hundreds leaves outside is little
+        fresh_count = 0
+        for k in range(faces.counters[0]):
             if faces.alive[k]:
-                fresh[made] = k
-                made += 1
-        rest = _outside(points[::stride], faces.planes[fresh[:made]], sag) * stride
+                fresh[fresh_count] = k
+                fresh_count += 1
+        rest = _points_outside(points[::stride], faces.planes[fresh[:fresh_count]], tolerance) * stride
         waiting[: len(rest)] = rest
-        count = _grow(points, corner, faces, fresh, made, ahead, waiting, len(rest), count, sag)
+        count = _expand(points, corner, faces, fresh, fresh_count, ahead, waiting, len(rest), count, tolerance)
     triangles = np.empty((faces.alive.sum(), 3, 3))
     m = 0
-    for k in range(faces.ends[0]):
+    for k in range(faces.counters[0]):
         if faces.alive[k]:
             a, b, c = corner[faces.corners[k, 0]], corner[faces.corners[k, 1]], corner[faces.corners[k, 2]]
-            put(triangles, m, given[a], given[b], given[c])
+            set_triangle(triangles, m, given[a], given[b], given[c])
             m += 1
     return triangles
 
 
 @njit(cache=True, nogil=True)
-def _grow(points, corner, faces, fresh, made, ahead, waiting, waits, count, sag):
-    """Take in the points that wait, until none stands out further than `sag`. Returns the number of corners."""
+def _expand(points, corner, faces, fresh, fresh_count, ahead, waiting, waiting_count, count, tolerance):
+    """Take in the points that wait, until none stands out further than `tolerance`. Returns the number of corners."""
     far = faces.far
     while True:
-        _place(points, waiting[:waits], fresh[:made], faces, sag)
+        _assign_points(points, waiting[:waiting_count], fresh[:fresh_count], faces, tolerance)
         best = 0  # what is not alive has far = 0
-        for k in range(faces.ends[0]):
+        for k in range(faces.counters[0]):
             if far[k] > far[best]:
                 best = k
-        if far[best] <= sag or count == CORNERS:
+        if far[best] <= tolerance or count == MAX_CORNERS:
             return count
-        assert faces.ends[1] >= CORNERS  # a polytope has twice as many faces as corners
+        assert faces.counters[1] >= MAX_CORNERS  # a polytope has twice as many faces as corners
         p = faces.farthest[best]
         corner[count] = p
-        waits, made = _open(points, p, faces, ahead, waiting, fresh)
-        for m in range(made):
-            fresh[m] = _add(points, corner, faces, fresh[m] // CORNERS, fresh[m] % CORNERS, count)
+        waiting_count, fresh_count = _remove_visible(points, p, faces, ahead, waiting, fresh)
+        for m in range(fresh_count):
+            fresh[m] = _add_face(points, corner, faces, fresh[m] // MAX_CORNERS, fresh[m] % MAX_CORNERS, count)
         count += 1
 
 
 @njit(cache=True, nogil=True)
-def _open(points, p, faces, ahead, waiting, edges):
+def _remove_visible(points, p, faces, ahead, waiting, edges):
     """Remove the faces that point `p` sees; what stood out of them waits, and `edges` says where they ended.
 
     Returns (how many wait, how many edges)."""
     x, y, z = points[p, 0], points[p, 1], points[p, 2]
-    corners, planes, alive, head, after = faces.corners, faces.planes, faces.alive, faces.head, faces.after
-    seen = np.empty(faces.ends[0], np.int64)
-    sees, waits, made = 0, 0, 0
-    for k in range(faces.ends[0]):
-        if alive[k] and planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3] > 0:
+    corners, face_planes, alive, head, after = faces.corners, faces.planes, faces.alive, faces.head, faces.after
+    seen = np.empty(faces.counters[0], np.int64)
+    sees, waiting_count, fresh_count = 0, 0, 0
+    for k in range(faces.counters[0]):
+        if alive[k] and face_planes[k, 0] * x + face_planes[k, 1] * y + face_planes[k, 2] * z + face_planes[k, 3] > 0:
             seen[sees] = k
             sees += 1
     for k in seen[:sees]:
@@ -151,30 +151,30 @@ def _open(points, p, faces, ahead, waiting, edges):
         i = head[k]
         while i >= 0:
             if i != p:
-                waiting[waits] = i
-                waits += 1
+                waiting[waiting_count] = i
+                waiting_count += 1
             i = after[i]
     for k in seen[:sees]:
         for e in range(3):
             a, b = corners[k, e], corners[k, (e + 1) % 3]
             if not ahead[b, a]:
-                edges[made] = a * CORNERS + b
-                made += 1
+                edges[fresh_count] = a * MAX_CORNERS + b
+                fresh_count += 1
     for k in seen[:sees]:
         for e in range(3):
             ahead[corners[k, e], corners[k, (e + 1) % 3]] = False
         alive[k], head[k], faces.far[k], faces.farthest[k] = False, -1, 0.0, -1
-        faces.spare[faces.ends[1]] = k
-        faces.ends[1] += 1
-    return waits, made
+        faces.free_rows[faces.counters[1]] = k
+        faces.counters[1] += 1
+    return waiting_count, fresh_count
 
 
 @njit(cache=True, nogil=True)
-def _add(points, corner, faces, a, b, c):
+def _add_face(points, corner, faces, a, b, c):
     """A new face; returns its row."""
-    faces.ends[1] -= 1
-    k = faces.spare[faces.ends[1]]
-    faces.ends[0] = max(faces.ends[0], k + 1)
+    faces.counters[1] -= 1
+    k = faces.free_rows[faces.counters[1]]
+    faces.counters[0] = max(faces.counters[0], k + 1)
     faces.corners[k, 0], faces.corners[k, 1], faces.corners[k, 2] = a, b, c
     faces.alive[k] = True
     _plane(points[corner[a]], points[corner[b]], points[corner[c]], faces.planes[k])
@@ -193,15 +193,15 @@ def _joggled(points):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _outside(points, planes, sag):
+def _points_outside(points, face_planes, tolerance):
     """The points that stand out of any of the planes: all planes at once, so that the loop becomes vectors."""
     x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
     reach = np.full(len(x), -1.0)
-    for k in range(len(planes)):
-        a, b, c, d = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
+    for k in range(len(face_planes)):
+        a, b, c, d = face_planes[k, 0], face_planes[k, 1], face_planes[k, 2], face_planes[k, 3]
         for i in range(len(x)):
             reach[i] = max(reach[i], a * x[i] + b * y[i] + c * z[i] + d)
-    return np.flatnonzero(reach > sag)
+    return np.flatnonzero(reach > tolerance)
 
 
 @njit(cache=True, nogil=True)
@@ -209,7 +209,7 @@ def _extremes(points):
     """The farthest points both ways along the 13 axes of a cube, among some hundreds of `points`."""
     index = np.zeros(26, np.int64)
     reach = np.full(26, -np.inf)
-    for i in range(0, len(points), 1 + len(points) // SAMPLE):
+    for i in range(0, len(points), 1 + len(points) // START_POINTS):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         along = (x, y, z, x + y, x - y, y + z, y - z, z + x, z - x, x + y + z, x + y - z, x - y + z, y + z - x)
         for d in range(13):
@@ -246,7 +246,7 @@ def corners(triangles):
 
 
 @njit(cache=True, nogil=True)
-def _simplex(points, among, sag):
+def _simplex(points, among, tolerance):
     """Four of the points `among` that span a solid, the last one below the plane of the first three.
 
     The last is -1 if all lie in a plane."""
@@ -266,10 +266,10 @@ def _simplex(points, among, sag):
     a = points[found[0]]
     u = points[found[1]] - a
     length = np.sqrt(u @ u)
-    if length <= sag:
+    if length <= tolerance:
         return found
     u = u / length
-    most = sag * sag
+    most = tolerance * tolerance
     for i in among:
         x, y, z = points[i, 0] - a[0], points[i, 1] - a[1], points[i, 2] - a[2]
         t = x * u[0] + y * u[1] + z * u[2]
@@ -281,7 +281,7 @@ def _simplex(points, among, sag):
     v = points[found[2]] - a
     normal = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
     normal /= np.sqrt(normal @ normal)
-    most, side = sag, 0.0
+    most, side = tolerance, 0.0
     for i in among:
         x, y, z = points[i, 0] - a[0], points[i, 1] - a[1], points[i, 2] - a[2]
         reach = x * normal[0] + y * normal[1] + z * normal[2]
@@ -293,12 +293,12 @@ def _simplex(points, among, sag):
 
 
 @njit(cache=True, nogil=True)
-def _box(points, sag):
+def _box(points, tolerance):
     low, high = points[0].copy(), points[0].copy()
     for i in range(len(points)):
         low, high = np.minimum(low, points[i]), np.maximum(high, points[i])
     for k in range(3):
-        lack = max(sag - (high[k] - low[k]), 0.0)
+        lack = max(tolerance - (high[k] - low[k]), 0.0)
         low[k] -= 0.5 * lack
         high[k] += 0.5 * lack
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -323,14 +323,14 @@ def _plane(a, b, c, plane):
 
 
 @njit(cache=True, nogil=True)
-def _place(points, waiting, fresh, faces, sag):
+def _assign_points(points, waiting, fresh, faces, tolerance):
     """Hand each point that waits to the first new face that it stands out from."""
-    planes, head, far, farthest, after = faces.planes, faces.head, faces.far, faces.farthest, faces.after
+    face_planes, head, far, farthest, after = faces.planes, faces.head, faces.far, faces.farthest, faces.after
     for i in waiting:
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         for k in fresh:
-            reach = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3]
-            if reach > sag:
+            reach = face_planes[k, 0] * x + face_planes[k, 1] * y + face_planes[k, 2] * z + face_planes[k, 3]
+            if reach > tolerance:
                 after[i] = head[k]
                 head[k] = i
                 if reach > far[k]:
@@ -339,20 +339,21 @@ def _place(points, waiting, fresh, faces, sag):
 
 
 @njit(cache=True, nogil=True)
-def clip(triangles, skin, normal, offset):
+def clip(triangles, surface, normal, offset):
     """Both sides of the plane x . normal = offset, each closed in the plane.
 
     Args:
-        skin: Which triangles lie in the original surface and not in a cut, shape (n,).
+        surface: Which triangles lie in the original surface and not in a cut, shape (n,).
 
     Returns:
-        (below, above, rim): a side is (triangles, skin), the rim where the plane crosses the skin, shape (k, 3)
+        (below, above, boundary): a side is (triangles, surface); the boundary is where the plane crosses the surface,
+        shape (k, 3)
     """
     n = len(triangles)
     sides = np.empty((2, 3 * n, 3, 3))
-    skins = np.zeros((2, 3 * n), np.bool_)
+    surfaces = np.zeros((2, 3 * n), np.bool_)
     count = np.zeros(2, np.int64)
-    cuts, rim = np.empty((n, 2, 3)), np.empty((2 * n, 3))
+    cuts, boundary = np.empty((n, 2, 3)), np.empty((2 * n, 3))
     cut, met = 0, 0
     reach = np.empty(3)
     for t in range(n):
@@ -362,23 +363,23 @@ def clip(triangles, skin, normal, offset):
         above = reach >= 0
         if above[0] == above[1] and above[1] == above[2]:
             side = 1 if above[0] else 0
-            put(sides[side], count[side], triangles[t, 0], triangles[t, 1], triangles[t, 2])
-            skins[side, count[side]] = skin[t]
+            set_triangle(sides[side], count[side], triangles[t, 0], triangles[t, 1], triangles[t, 2])
+            surfaces[side, count[side]] = surface[t]
             count[side] += 1
             continue
-        p, q = _split(triangles[t], reach, skin[t], sides, skins, count, cuts[cut])
+        p, q = _split_triangle(triangles[t], reach, surface[t], sides, surfaces, count, cuts[cut])
         cut += 1
-        if skin[t]:
-            rim[met], rim[met + 1] = p, q
+        if surface[t]:
+            boundary[met], boundary[met + 1] = p, q
             met += 2
-    _close(sides, count, cuts[:cut])
-    below = sides[0, : count[0]].copy(), skins[0, : count[0]].copy()
-    above = sides[1, : count[1]].copy(), skins[1, : count[1]].copy()
-    return below, above, rim[:met].copy()
+    _cap(sides, count, cuts[:cut])
+    below = sides[0, : count[0]].copy(), surfaces[0, : count[0]].copy()
+    above = sides[1, : count[1]].copy(), surfaces[1, : count[1]].copy()
+    return below, above, boundary[:met].copy()
 
 
 @njit(cache=True, nogil=True)
-def _split(triangle, reach, skin, sides, skins, count, cut):
+def _split_triangle(triangle, reach, surface, sides, surfaces, count, cut):
     """A triangle that a plane crosses: three, and the segment `cut` as each side's boundary runs along it."""
     above = reach >= 0
     i = 0  # the corner alone on its side
@@ -393,10 +394,10 @@ def _split(triangle, reach, skin, sides, skins, count, cut):
     side = 1 if above[i] else 0
     other = 1 - side
     m, o = count[side], count[other]
-    put(sides[side], m, a, p, q)
-    put(sides[other], o, p, b, c)
-    put(sides[other], o + 1, p, c, q)
-    skins[side, m], skins[other, o], skins[other, o + 1] = skin, skin, skin
+    set_triangle(sides[side], m, a, p, q)
+    set_triangle(sides[other], o, p, b, c)
+    set_triangle(sides[other], o + 1, p, c, q)
+    surfaces[side, m], surfaces[other, o], surfaces[other, o + 1] = surface, surface, surface
     count[side] += 1
     count[other] += 2
     # The boundary of the side below runs from p to q where it holds the lone corner, else back.
@@ -405,7 +406,7 @@ def _split(triangle, reach, skin, sides, skins, count, cut):
 
 
 @njit(cache=True, nogil=True)
-def _close(sides, count, cuts):
+def _cap(sides, count, cuts):
     """Close both sides of a plane with a fan over the segments in which it cut."""
     apex = np.zeros(3)
     for s in range(len(cuts)):
@@ -413,13 +414,13 @@ def _close(sides, count, cuts):
     for s in range(len(cuts)):
         p, q = cuts[s, 0], cuts[s, 1]
         m, o = count[0], count[1]
-        put(sides[0], m, q, p, apex)
-        put(sides[1], o, p, q, apex)
+        set_triangle(sides[0], m, q, p, apex)
+        set_triangle(sides[1], o, p, q, apex)
         count += 1
 
 
 @njit(cache=True, nogil=True)
-def planes(triangles):
+def face_planes(triangles):
     """Outward unit normals and offsets of the faces of a polytope, shape (n, 4); a line has the normal 0."""
     found = np.zeros((len(triangles), 4))
     for t in range(len(triangles)):
@@ -435,13 +436,13 @@ def planes(triangles):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def between(faces, points, plane):
+def least_overlap_plane(faces, points, plane):
     """The face of a polytope along which it overlaps another least, if that is less than `plane` says.
 
     Only normals of faces are tried: where edges cross, the depth is slightly more than it could be.
 
     Args:
-        faces: `planes` of the one, shape (n, 4).
+        faces: `face_planes` of the one, shape (n, 4).
         points: Corners of the other, shape (k, 3).
         plane: Normal, offset of the middle of the overlap, its depth [m] (< 0 if apart), shape (5,); improved.
 

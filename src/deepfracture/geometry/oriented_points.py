@@ -13,11 +13,11 @@ from deepfracture.types import BadInput, Floats32, Grid
 
 FAR = 4.0
 """Distance [m] that stands for "no surface at all": beyond the diagonal of the grid's box."""
-SPACING_SAMPLE = 4096
+SPACING_SAMPLES = 4096
 """Points whose nearest neighbour is looked up to learn how densely the surface is sampled."""
 
 
-def distance_to_samples(grid: Grid, points: ArrayLike, normals: ArrayLike) -> Floats32:
+def distance_to_oriented_points(grid: Grid, points: ArrayLike, normals: ArrayLike) -> Floats32:
     """Unsigned distance [m] of every voxel centre to a surface sampled by oriented points, shape (r, r, r).
 
     The nearest point is found by vector propagation (Danielsson 1980, two rounds over 26 neighbours);
@@ -55,7 +55,7 @@ def _spacing(points: np.ndarray) -> float:
     """Twice the median distance between neighbouring points: the radius that closes the gaps."""
     if len(points) == 1:
         return 0.0
-    some = points[:: max(1, len(points) // SPACING_SAMPLE)]
+    some = points[:: max(1, len(points) // SPACING_SAMPLES)]
     nearest, _ = KDTree(points).query(some, k=2)
     return 2 * float(np.median(nearest[:, 1]))
 
@@ -71,7 +71,7 @@ def _scatter(index: np.ndarray, nearest: np.ndarray) -> None:
         for i in range(max(base[0] - 1, 0), min(base[0] + 2, r)):
             for j in range(max(base[1] - 1, 0), min(base[1] + 2, r)):
                 for k in range(max(base[2] - 1, 0), min(base[2] + 2, r)):
-                    _offer(index, nearest, i, j, k, p)
+                    _update(index, nearest, i, j, k, p)
 
 
 @njit(cache=True, inline="always")
@@ -80,7 +80,7 @@ def _squared(index: np.ndarray, p: int, i: int, j: int, k: int) -> float:
 
 
 @njit(cache=True, inline="always")
-def _offer(index: np.ndarray, nearest: np.ndarray, i: int, j: int, k: int, p: int) -> None:
+def _update(index: np.ndarray, nearest: np.ndarray, i: int, j: int, k: int, p: int) -> None:
     have = nearest[i, j, k]
     if have < 0 or (have != p and _squared(index, p, i, j, k) < _squared(index, have, i, j, k)):
         nearest[i, j, k] = p

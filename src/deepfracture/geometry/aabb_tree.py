@@ -22,7 +22,7 @@ STACK = 128
 """Scratch entries for a walk through the tree, which is balanced: enough for any mesh in memory."""
 
 
-class Tree(NamedTuple):
+class AABBTree(NamedTuple):
     """A balanced tree of boxes over triangles, in the order in which its leaves hold them."""
 
     corners: Floats
@@ -38,7 +38,7 @@ class Tree(NamedTuple):
 
 
 @njit(cache=True)
-def _split(keys: Floats, order: Ints, start: int, stop: int, middle: int) -> None:  # pragma: no cover
+def _quickselect(keys: Floats, order: Ints, start: int, stop: int, middle: int) -> None:  # pragma: no cover
     """Quickselect: order[start:middle] get the smaller keys, order[middle:stop] the larger."""
     low, high = start, stop - 1
     while low < high:
@@ -62,7 +62,7 @@ def _split(keys: Floats, order: Ints, start: int, stop: int, middle: int) -> Non
 
 
 @njit(cache=True)
-def _grow(triangles: Floats):  # pragma: no cover
+def _build(triangles: Floats):  # pragma: no cover
     m = len(triangles)
     order = np.arange(m)
     centroids = np.empty((3, m))
@@ -92,7 +92,7 @@ def _grow(triangles: Floats):  # pragma: no cover
                 axis, widest = x, high - low
         if stop - start > LEAF:
             middle = (start + stop) // 2
-            _split(centroids[axis], order, start, stop, middle)
+            _quickselect(centroids[axis], order, start, stop, middle)
             children[node] = count
             spans[count, 0], spans[count, 1] = start, middle
             spans[count + 1, 0], spans[count + 1, 1] = middle, stop
@@ -104,13 +104,13 @@ def _grow(triangles: Floats):  # pragma: no cover
     return corners, order, boxes[:count].copy(), spans[:count].copy(), children[:count].copy()
 
 
-def tree_of(triangles: Floats) -> Tree:
+def build_tree(triangles: Floats) -> AABBTree:
     """The box tree of triangles of shape (m, 3, 3), m >= 1."""
-    return Tree(*_grow(np.array(triangles, float)))
+    return AABBTree(*_build(np.array(triangles, float)))
 
 
 @njit(cache=True, inline="always")
-def _on_segment(px: float, py: float, pz: float, a: Floats, b: Floats):  # pragma: no cover
+def _offset_from_segment(px: float, py: float, pz: float, a: Floats, b: Floats):  # pragma: no cover
     """Offset from the nearest point of segment ab to p."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     wx, wy, wz = px - a[0], py - a[1], pz - a[2]
@@ -122,18 +122,18 @@ def _on_segment(px: float, py: float, pz: float, a: Floats, b: Floats):  # pragm
 
 
 @njit(cache=True)
-def _from_sides(px: float, py: float, pz: float, corners: Floats):  # pragma: no cover
+def _offset_from_sides(px: float, py: float, pz: float, corners: Floats):  # pragma: no cover
     """Offset from the nearest point of a triangle's three sides to p."""
-    x, y, z = _on_segment(px, py, pz, corners[0], corners[1])
+    x, y, z = _offset_from_segment(px, py, pz, corners[0], corners[1])
     for side in range(1, 3):
-        x2, y2, z2 = _on_segment(px, py, pz, corners[side], corners[(side + 1) % 3])
+        x2, y2, z2 = _offset_from_segment(px, py, pz, corners[side], corners[(side + 1) % 3])
         if x2 * x2 + y2 * y2 + z2 * z2 < x * x + y * y + z * z:
             x, y, z = x2, y2, z2
     return x, y, z
 
 
 @njit(cache=True)
-def offset(px: float, py: float, pz: float, corners: Floats):  # pragma: no cover
+def offset_from_triangle(px: float, py: float, pz: float, corners: Floats):  # pragma: no cover
     """Vector from the nearest point of a triangle (3, 3) to p (Ericson 2005, section 5.1.5).
 
     Slivers are measured by their sides as well, and triangles without area by nothing else: barycentric
@@ -169,7 +169,7 @@ def offset(px: float, py: float, pz: float, corners: Floats):  # pragma: no cove
     if not sliver or (nn > FLAT * uu * vv and ta > 0 and tb > 0 and tc > 0):
         t = (nx * wx + ny * wy + nz * wz) / nn
         return t * nx, t * ny, t * nz
-    return _from_sides(px, py, pz, corners)
+    return _offset_from_sides(px, py, pz, corners)
 
 
 @njit(cache=True, inline="always")
@@ -182,14 +182,16 @@ def _box_distance2(px: float, py: float, pz: float, box: Floats):  # pragma: no 
 
 
 @njit(cache=True)
-def nearest(px: float, py: float, pz: float, tree: Tree, guess: int, limit: float, stack: Ints):  # pragma: no cover
+def nearest_triangle(
+    px: float, py: float, pz: float, tree: AABBTree, guess: int, limit: float, stack: Ints
+):  # pragma: no cover
     """Leaf position of the triangle nearest to p and its squared distance, or guess and limit
     when nothing is nearer than that.
 
     guess: any leaf position; a near one (the neighbour's answer) prunes the search.
     limit: squared distance beyond which nobody asks.
     stack: scratch, at least the depth of the tree."""
-    x, y, z = offset(px, py, pz, tree.corners[guess])
+    x, y, z = offset_from_triangle(px, py, pz, tree.corners[guess])
     best, found = min(limit, x * x + y * y + z * z), guess
     depth, node = 0, 0
     while True:
@@ -208,7 +210,7 @@ def nearest(px: float, py: float, pz: float, tree: Tree, guess: int, limit: floa
                 continue
         else:
             for s in range(tree.spans[node, 0], tree.spans[node, 1]):
-                x, y, z = offset(px, py, pz, tree.corners[s])
+                x, y, z = offset_from_triangle(px, py, pz, tree.corners[s])
                 square = x * x + y * y + z * z
                 if square < best:
                     best, found = square, s
@@ -223,7 +225,7 @@ def nearest(px: float, py: float, pz: float, tree: Tree, guess: int, limit: floa
 
 
 @njit(cache=True, inline="always")
-def _cut(a: Floats, b: Floats, y: float):  # pragma: no cover
+def _segment_at(a: Floats, b: Floats, y: float):  # pragma: no cover
     """Where segment ab meets the plane at y: (x, z). The same bits for ab and ba, so that
     neighbouring triangles agree on where their shared edge is."""
     if b[1] < a[1] or (b[1] == a[1] and (b[0] < a[0] or (b[0] == a[0] and b[2] < a[2]))):
@@ -233,7 +235,7 @@ def _cut(a: Floats, b: Floats, y: float):  # pragma: no cover
 
 
 @njit(cache=True)
-def slice_at(corners: Floats, y: float):  # pragma: no cover
+def slice_triangle(corners: Floats, y: float):  # pragma: no cover
     """The directed piece of a triangle in the plane at y: (there, x0, z0, x1, z1).
 
     A side counts when one end is below y and the other is not; so the pieces of a closed mesh
@@ -243,23 +245,23 @@ def slice_at(corners: Floats, y: float):  # pragma: no cover
     for side in range(3):
         a, b = corners[side], corners[(side + 1) % 3]
         if a[1] < y and b[1] >= y:
-            x0, z0 = _cut(a, b, y)
+            x0, z0 = _segment_at(a, b, y)
             there = True
         elif a[1] >= y and b[1] < y:
-            x1, z1 = _cut(a, b, y)
+            x1, z1 = _segment_at(a, b, y)
             there = True
     return there, x0, z0, x1, z1
 
 
 @njit(cache=True, inline="always")
-def height(x0: float, z0: float, x1: float, z1: float, x: float):  # pragma: no cover
+def segment_height(x0: float, z0: float, x1: float, z1: float, x: float):  # pragma: no cover
     """Height at x of a piece that passes it. Clamped: a steep piece must not overshoot."""
     z = z0 + (x - x0) / (x1 - x0) * (z1 - z0)
     return min(max(z, min(z0, z1)), max(z0, z1))
 
 
 @njit(cache=True)
-def winding(px: float, py: float, pz: float, tree: Tree, stack: Ints):  # pragma: no cover
+def winding_number(px: float, py: float, pz: float, tree: AABBTree, stack: Ints):  # pragma: no cover
     """How many times the surface winds round p: signed crossings of the ray from p towards +z."""
     depth, turns = 1, 0
     stack[0] = 0
@@ -275,7 +277,7 @@ def winding(px: float, py: float, pz: float, tree: Tree, stack: Ints):  # pragma
             depth += 2
             continue
         for s in range(tree.spans[node, 0], tree.spans[node, 1]):
-            there, x0, z0, x1, z1 = slice_at(tree.corners[s], py)
-            if there and (x0 < px) != (x1 < px) and height(x0, z0, x1, z1, px) > pz:
+            there, x0, z0, x1, z1 = slice_triangle(tree.corners[s], py)
+            if there and (x0 < px) != (x1 < px) and segment_height(x0, z0, x1, z1, px) > pz:
                 turns += 1 if x1 < px else -1
     return turns

@@ -21,41 +21,41 @@ SWEEPS = 200
 """Passes over all borders, at most; some thirty are enough as a rule."""
 ROUNDS = 12
 """Times that clusters are parted, at most."""
-LATER = 8
+LOCAL_SWEEPS = 8
 """Passes after each of them: neighbours make room, and all others stay as they are."""
-LEAST = 1e-12
+MIN_GAIN = 1e-12
 """Gain of a change, as a share of the energy of a cluster's size, below which it is rounding."""
 
 
-def clusters(mesh: Mesh, count: int) -> Ints:
+def cluster_vertices(mesh: Mesh, count: int) -> Ints:
     """The cluster of each vertex of a closed mesh whose vertices have one fan of faces each, shape (n,).
 
     Numbered from 0. There are `count` of them, or more where limbs are thinner than a cluster: those that go round a
     limb, or meet one other along two borders, are parted until the dual is a surface as the mesh is."""
     points = mesh.vertices - mesh.vertices.mean(axis=0)
-    weights = _weights(mesh)
+    weights = _vertex_weights(mesh)
     points /= np.sqrt((weights[:, None] * points**2).sum())
-    first, ring = rings(mesh.faces, len(points))
+    first, ring = vertex_rings(mesh.faces, len(points))
     label = np.zeros(len(points), np.int64)
     number = min(count, len(points))
-    _part(points, first, ring, label, np.arange(len(points)), np.arange(number))
-    _relax(points, weights, first, ring, label, np.ones(number, np.bool_), SWEEPS)
+    _seed(points, first, ring, label, np.arange(len(points)), np.arange(number))
+    _minimise(points, weights, first, ring, label, np.ones(number, np.bool_), SWEEPS)
     for _ in range(ROUNDS):
-        wrong = _wrong(mesh.faces, label, number)
+        wrong = _irregular(mesh.faces, label, number)
         fresh = np.zeros(number + 2 * len(wrong), np.bool_)
         for cluster in wrong:
             members = np.flatnonzero(label == cluster)
             parts = min(3, len(members))
-            _part(points, first, ring, label, members, np.array([cluster, number, number + 1])[:parts])
+            _seed(points, first, ring, label, members, np.array([cluster, number, number + 1])[:parts])
             fresh[[cluster, *range(number, number + parts - 1)]] = True
             number += parts - 1
         if not fresh.any():
             break
-        _relax(points, weights, first, ring, label, fresh[:number], LATER)
+        _minimise(points, weights, first, ring, label, fresh[:number], LOCAL_SWEEPS)
     return label
 
 
-def dual(mesh: Mesh, label: Ints) -> Mesh:
+def dual_mesh(mesh: Mesh, label: Ints) -> Mesh:
     """One vertex a cluster, and a face wherever three clusters meet.
 
     From the middle of its area each vertex goes along the cluster's mean normal to where the planes of the faces are
@@ -64,7 +64,7 @@ def dual(mesh: Mesh, label: Ints) -> Mesh:
     at = label[mesh.faces]
     a, b, c = at.T
     faces = at[(a != b) & (b != c) & (c != a)]
-    weights = _weights(mesh)
+    weights = _vertex_weights(mesh)
     whole = np.bincount(label, weights)
     middle = np.column_stack([np.bincount(label, weights * x) / whole for x in mesh.vertices.T])
     normal = np.column_stack([sum(np.bincount(own, x, len(whole)) for own in at.T) for x in mesh.area_vectors.T])
@@ -81,7 +81,7 @@ def dual(mesh: Mesh, label: Ints) -> Mesh:
     return Mesh(middle + np.clip(rise / most, -radius, radius)[:, None] * normal, faces)
 
 
-def _weights(mesh: Mesh) -> Floats:
+def _vertex_weights(mesh: Mesh) -> Floats:
     """The share of the area that belongs to each vertex."""
     areas = np.linalg.norm(mesh.area_vectors, axis=1)
     weights = np.bincount(mesh.faces.ravel(), np.repeat(areas / areas.sum() / 3, 3), len(mesh.vertices))
@@ -89,7 +89,7 @@ def _weights(mesh: Mesh) -> Floats:
     return np.maximum(weights, 1e-9 / len(weights))
 
 
-def _wrong(faces: Ints, label: Ints, number: int) -> Ints:
+def _irregular(faces: Ints, label: Ints, number: int) -> Ints:
     """Clusters that are no discs, or meet another along more than one border, or fewer than three others."""
     a, b, c = label[faces].T
     edges = np.stack([a == b, b == c, c == a])
@@ -108,7 +108,7 @@ def _wrong(faces: Ints, label: Ints, number: int) -> Ints:
 
 
 @njit(cache=True)
-def rings(faces: Ints, count: int):  # pragma: no cover
+def vertex_rings(faces: Ints, count: int):  # pragma: no cover
     """The neighbours of each vertex in their order round it, as compressed rows: starts (count + 1,), neighbours."""
     first = np.zeros(count + 1, np.int64)
     for face in faces:
@@ -134,7 +134,7 @@ def rings(faces: Ints, count: int):  # pragma: no cover
 
 
 @njit(cache=True)
-def _part(points: Floats, first: Ints, ring: Ints, label: Ints, members: Ints, numbers: Ints):  # pragma: no cover
+def _seed(points: Floats, first: Ints, ring: Ints, label: Ints, members: Ints, numbers: Ints):  # pragma: no cover
     """Give the vertices `members` new clusters: each seed is the vertex farthest from those before it, and takes all
     that are nearer to it along edges."""
     away = np.full(len(points), -1.0)
@@ -157,7 +157,7 @@ def _part(points: Floats, first: Ints, ring: Ints, label: Ints, members: Ints, n
 
 
 @njit(cache=True)
-def _relax(
+def _minimise(
     points: Floats, weights: Floats, first: Ints, ring: Ints, label: Ints, fresh, sweeps: int
 ):  # pragma: no cover
     """Changes `label` until no change of one vertex is worth it, beginning at the borders of fresh clusters."""
@@ -172,13 +172,13 @@ def _relax(
         changes = 0
         for v in range(len(label)):
             own = label[v]
-            best, choice = LEAST / count, -1
+            best, choice = MIN_GAIN / count, -1
             for s in range(first[v], first[v + 1]):
                 other = label[ring[s]]
                 if other in (own, choice) or max(touched[own], touched[other]) < sweep - 1:
                     continue
                 gain = _gain(points[v], weights[v], sums, weight, own, other)
-                if gain > best and _stays_whole(label, first, ring, v, other):
+                if gain > best and _keeps_discs(label, first, ring, v, other):
                     best, choice = gain, other
             if choice >= 0:
                 label[v] = choice
@@ -212,7 +212,7 @@ def _gain(x: Floats, w: float, sums: Floats, weight: Floats, own: int, other: in
 
 
 @njit(cache=True)
-def _stays_whole(label: Ints, first: Ints, ring: Ints, v: int, other: int):  # pragma: no cover
+def _keeps_discs(label: Ints, first: Ints, ring: Ints, v: int, other: int):  # pragma: no cover
     """Whether v may join `other`: round v, its own cluster and the other must each be one run of neighbours."""
     own, runs_own, runs_other = label[v], 0, 0
     last = label[ring[first[v + 1] - 1]]
