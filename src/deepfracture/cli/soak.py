@@ -13,15 +13,15 @@ def soak(
 ) -> bool:  # fmt: skip
     """Hit and check, log a summary; returns whether all hits passed."""
     from deepfracture.runtime.files import atomic_file
-    from deepfracture.soak import Settings, summary
+    from deepfracture.soak import SoakOptions, summary
     from deepfracture.soak import soak as run
     from deepfracture.soak.results import sound
 
-    settings = Settings(
+    options = SoakOptions(
         shapes, breakers, seed, resolution, engine, repair, model=model, data=data,
     )  # fmt: skip
-    rows = run(settings, hits, out=out, workers=workers, limit=limit)
-    text = summary(rows, settings)
+    rows = run(options, hits, out=out, workers=workers, limit=limit)
+    text = summary(rows, options)
     log.info("%s", text.rstrip())
     if out is not None:
         with atomic_file(out / "summary.md") as temporary:

@@ -16,7 +16,7 @@ COLUMNS = f"{'case':<60} {'exact':>11} {'ours':>11} {'error':>9} {'limit':>9}  {
 
 def validate(*, json_file: Path | None, plots: Path | None, quick: bool) -> bool:
     """Run every case, print the table, write `json_file` and pictures into `plots`; returns whether all pass."""
-    from deepfracture.validation import draw, outcomes
+    from deepfracture.validation import draw, run_cases
 
     if plots:
         require("matplotlib", extra="plots", to="draw the plots of a validation")
@@ -24,7 +24,7 @@ def validate(*, json_file: Path | None, plots: Path | None, quick: bool) -> bool
     log.setLevel(logging.WARNING)  # the stages of each simulation would bury the table
     sys.stdout.write(f"{COLUMNS}\n")
     try:
-        for outcome in outcomes(quick=quick):
+        for outcome in run_cases(quick=quick):
             rows += outcome.rows
             for row in outcome.rows:
                 sys.stdout.write(f"{_line(row)}\n")

@@ -1,7 +1,7 @@
-"""Thousands of random hits, each checked: `deepfracture soak`."""
+"""Soak test: thousands of random hits, each checked (`deepfracture soak`)."""
 
-from deepfracture.soak.plan import Case, Settings, case, numbered
+from deepfracture.soak.plan import Case, SoakOptions, case, first_cases
 from deepfracture.soak.results import Results, summary
 from deepfracture.soak.run import soak
 
-__all__ = ["Case", "Results", "Settings", "case", "numbered", "soak", "summary"]
+__all__ = ["Case", "Results", "SoakOptions", "case", "first_cases", "soak", "summary"]

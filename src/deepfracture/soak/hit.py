@@ -1,4 +1,4 @@
-"""One hit, from the ball to the pieces on the floor, and all that must hold of it."""
+"""One hit, from the ball to the fragments on the floor, and the checks of its result."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from deepfracture.geometry import load_shape
 from deepfracture.geometry.rotations import rotation_matrix
 from deepfracture.runtime.lru import LRU
 from deepfracture.runtime.memory import release_free_memory, resident_mb
-from deepfracture.soak.plan import RECALLING, Case, Settings, data_of, model_of
+from deepfracture.soak.plan import DATASET_BREAKERS, Case, SoakOptions, data_of, model_of
 from deepfracture.soak.scenes import draw_scene
 from deepfracture.types import Breaker, Fragments, Grid, Impact, NoSolution, Recording, Shape, Track
 from deepfracture.validation.fragments import check_fragments
 from deepfracture.world import Live, Scene
 
-KEPT = 16
-"""Models, stress solvers (120 MB) and data sets kept ready of each kind, the last used ones."""
-LIGHT = 64
-"""Breakers without these: a distance field of 1 MB each."""
-DEPTH = 0.1
-"""Below the floor no corner of a body may reach [m]: what is struck against it may yield a little."""
+CACHE_SIZE = 16
+"""Models, stress solvers (120 MB) and data sets kept of each kind, the most recently used."""
+LIGHT_CACHE_SIZE = 64
+"""Breakers without any of these: a distance field of 1 MB each."""
+FLOOR_TOLERANCE = 0.1
+"""Depth that a corner of a body may penetrate the floor [m]: a body struck against it may yield a little."""
 
 
 @dataclass
-class Watched:
-    """A breaker whose answers are kept, with what was broken and how long it took."""
+class TimedBreaker:
+    """A breaker that records its results, what it broke and how long it took."""
 
     breaker: Breaker
     answers: list[tuple[Shape, Fragments]] = field(default_factory=list)
@@ -56,25 +56,25 @@ class Watched:
         return found
 
 
-class Shop:
-    """Shapes and breakers of a soak; what is costly is kept from hit to hit, what is learnt of fragments is not."""
+class ShapesAndBreakers:
+    """Shapes and breakers of a soak, cached from hit to hit; what is computed for fragments is not."""
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    def __init__(self, options: SoakOptions) -> None:
+        self.options = options
         self._shapes: dict[str, Shape] = {}
-        self._bodies: LRU[str, FractureBody] = LRU(KEPT)
-        self._memories: LRU[Hashable, Any] = LRU(KEPT)
-        self._known: LRU[Hashable, PatternSource] = LRU(KEPT)
-        self._light: LRU[Hashable, PatternSource] = LRU(LIGHT)
+        self._bodies: LRU[str, FractureBody] = LRU(CACHE_SIZE)
+        self._memories: LRU[Hashable, Any] = LRU(CACHE_SIZE)
+        self._known: LRU[Hashable, PatternSource] = LRU(CACHE_SIZE)
+        self._light: LRU[Hashable, PatternSource] = LRU(LIGHT_CACHE_SIZE)
 
     def shape(self, source: str) -> Shape:
         if source not in self._shapes:
-            self._shapes[source] = load_shape(source, repair=self.settings.repair)
+            self._shapes[source] = load_shape(source, repair=self.options.repair)
         return self._shapes[source]
 
     def material(self, one: Case, rng: np.random.Generator) -> str:
-        """What a hit is made of: a solver and the patterns of others know one material."""
-        if one.breaker == "learned" or one.breaker in RECALLING:
+        """Material of a hit: fixed where a stress solver or stored patterns are for a single one."""
+        if one.breaker == "learned" or one.breaker in DATASET_BREAKERS:
             return "plaster"
         names = tuple(MATERIALS)
         if one.breaker == "physical":
@@ -88,53 +88,53 @@ class Shop:
             return PatternBreaker(Physical(made_of, grid, {shape: body}), made_of)
 
         def make() -> PatternSource:
-            data = data_of(one.shape, self.settings) if one.breaker in RECALLING else None
+            data = data_of(one.shape, self.options) if one.breaker in DATASET_BREAKERS else None
             patterns = None if data is None else self._memories.get(data, lambda: open_patterns(shape, data))
-            model = model_of(one.shape, self.settings) if one.breaker == "learned" else None
+            model = model_of(one.shape, self.options) if one.breaker == "learned" else None
             return make_source(one.breaker, shape, made_of, grid, model=model, patterns=patterns)
 
-        kept = self._known if one.breaker == "learned" or one.breaker in RECALLING else self._light
+        kept = self._known if one.breaker == "learned" or one.breaker in DATASET_BREAKERS else self._light
         return PatternBreaker(kept.get((one.shape, one.breaker, material), make), made_of)
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A hit that can begin."""
+class PreparedHit:
+    """A hit ready to be simulated."""
 
     case: Case
     scene: Scene
     shape: Shape
-    breaker: Watched
+    breaker: TimedBreaker
 
 
-def prepare(shop: Shop, one: Case) -> Prepared:
-    """All that is needed once for a shape and breaker, and the scene."""
+def prepare(resources: ShapesAndBreakers, one: Case) -> PreparedHit:
+    """Shape, breaker and scene of a hit."""
     rng = np.random.default_rng(one.seed)
-    material = shop.material(one, rng)
-    shape = shop.shape(one.shape)
-    breaker = Watched(shop.breaker(one, material))
-    scene = draw_scene(one.shape, shape, rng, material=material, breaker=one.breaker, engine=shop.settings.engine)
-    return Prepared(one, scene, shape, breaker)
+    material = resources.material(one, rng)
+    shape = resources.shape(one.shape)
+    breaker = TimedBreaker(resources.breaker(one, material))
+    scene = draw_scene(one.shape, shape, rng, material=material, breaker=one.breaker, engine=resources.options.engine)
+    return PreparedHit(one, scene, shape, breaker)
 
 
 @dataclass(frozen=True)
-class Played:
-    """A hit that has happened and is not checked yet."""
+class SimulatedHit:
+    """A simulated hit, not yet checked."""
 
-    ready: Prepared
+    ready: PreparedHit
     row: dict[str, Any]
-    """What is known so far."""
+    """Its results so far."""
     recording: Recording | None
-    """None: it failed, and there is nothing to check."""
+    """None if the simulation failed."""
 
 
-def hit(ready: Prepared) -> dict[str, Any]:
-    """Play the scene and check what came of it: a row of results, `failures` empty where all is well."""
+def hit(ready: PreparedHit) -> dict[str, Any]:
+    """Simulate and check: a row of results, whose `failures` are empty if all checks pass."""
     return check(play(ready))
 
 
-def play(ready: Prepared) -> Played:
-    """From the first frame to the last."""
+def play(ready: PreparedHit) -> SimulatedHit:
+    """Simulate a hit from the first frame to the last."""
     watched, recording = ready.breaker, None
     row: dict[str, Any] = {**asdict(ready.case), "failures": {}}
     began, worked = time.perf_counter(), time.process_time()
@@ -143,14 +143,14 @@ def play(ready: Prepared) -> Played:
         row |= {"breaks": broken, "frames": recording.frames, "asked": watched.asked, "break_seconds": watched.seconds}
     except _NotFinite as problem:
         row |= {"failures": {"pose": 1}, "detail": str(problem)}
-    except Exception as crash:  # what a crash looks like is what a soak is here to tell
+    except Exception as crash:  # a soak reports crashes
         row |= _crash(crash)
     taken = {"seconds": time.perf_counter() - began, "processor_seconds": time.process_time() - worked}
-    return Played(ready, row | taken, recording)
+    return SimulatedHit(ready, row | taken, recording)
 
 
-def check(played: Played) -> dict[str, Any]:
-    """The row of a hit, with all that is wrong with it."""
+def check(played: SimulatedHit) -> dict[str, Any]:
+    """The row of a hit, with the failures of its checks."""
     row, ready = dict(played.row), played.ready
     if played.recording is not None:
         try:
@@ -159,7 +159,7 @@ def check(played: Played) -> dict[str, Any]:
                 row["failures"]["through floor"] = row["through"]
         except Exception as crash:
             row |= _crash(crash)
-    release_free_memory()  # so that what is weighed is what is held, not what the largest scene once needed
+    release_free_memory()  # measure what is held, not the peak of the largest scene
     return row | {"resident_mb": resident_mb()}
 
 
@@ -170,11 +170,11 @@ def _crash(crash: Exception) -> dict[str, Any]:
 
 
 class _NotFinite(RuntimeError):
-    """A body is nowhere."""
+    """A body has a pose that is not finite."""
 
 
-def _play(ready: Prepared) -> tuple[Recording, int]:
-    """The recording, and how many collisions broke something."""
+def _play(ready: PreparedHit) -> tuple[Recording, int]:
+    """The recording, and the number of collisions with fracture."""
     scene = ready.scene
     rng = np.random.default_rng([ready.case.seed, 1])
     with Live(scene, [ready.shape], ready.breaker, rng, materials=MATERIALS) as live:
@@ -189,8 +189,8 @@ def _play(ready: Prepared) -> tuple[Recording, int]:
     return outcome.recording, len(outcome.breaks)
 
 
-def _fragments(watched: Watched, resolution: int) -> dict[str, Any]:
-    """What is wrong with the fragments, of whole shapes and of pieces."""
+def _fragments(watched: TimedBreaker, resolution: int) -> dict[str, Any]:
+    """Failed checks of the fragments of whole shapes and of fragments broken again."""
     failures: Counter[str] = Counter()
     error, count = 0.0, 0
     for shape, fragments in watched.answers:
@@ -204,16 +204,16 @@ def _fragments(watched: Watched, resolution: int) -> dict[str, Any]:
 
 
 def _bodies(recording: Recording, scene: Scene) -> dict[str, Any]:
-    """How deep anything got below the floor [m], and how fast a fragment became [m/s].
+    """Deepest penetration of the floor [m] and greatest speed of a fragment [m/s].
 
-    A body has gone through where its centre of mass is below the floor, or a corner of it lower than `DEPTH`."""
+    A body is through the floor if its centre of mass is below it, or a corner by more than `FLOOR_TOLERANCE`."""
     bodies = [track for track in recording.tracks if track.rigid is not None]
     speeds = [np.linalg.norm(t.rigid.velocities, axis=1).max() for t in bodies if t.kind == "fragment" and t.rigid]
     found: dict[str, Any] = {"fastest": float(max(speeds, default=0.0)), "through": 0}
     if scene.floor is None:
         return found
     lows = {track.name: _lowest(track) for track in bodies}
-    through = [name for name, (centre, corner) in lows.items() if centre < 0 or corner < -DEPTH]
+    through = [name for name, (centre, corner) in lows.items() if centre < 0 or corner < -FLOOR_TOLERANCE]
     found["deepest"] = float(max((-corner for _, corner in lows.values()), default=0.0))
     if through:
         name = min(through, key=lambda name: lows[name][1])
@@ -224,7 +224,7 @@ def _bodies(recording: Recording, scene: Scene) -> dict[str, Any]:
 
 
 def _lowest(track: Track) -> tuple[float, float]:
-    """Least height of the centre of mass, and of any corner [m]."""
+    """Lowest height of the centre of mass, and of any corner [m]."""
     assert track.rigid is not None
     # Each row maps a point of the mesh to its height in the world.
     down = np.stack([rotation_matrix(quat)[2] for quat in track.quats_wxyz])

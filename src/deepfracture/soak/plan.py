@@ -1,4 +1,4 @@
-"""Which hit of a soak strikes which shape with which breaker, and how to repeat it."""
+"""The cases of a soak: which hit strikes which shape with which breaker, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from deepfracture.types import RESOLUTIONS, BadInput
 from deepfracture.world import ENGINES
 
 SHARES = {"learned": 3, "voronoi": 3, "cvd": 3, "nearest": 2, "random": 2, "physical": 1}
-"""How often each breaker has its turn: the physical one takes several times as long as the others."""
-USUAL = 64
+"""Relative frequency of each breaker: the physical one takes several times as long as the others."""
+DEFAULT_RESOLUTION = 64
 """Voxels along each axis ..."""
-SLOW = 32
+PHYSICAL_RESOLUTION = 32
 """... and for the physical breaker."""
-RECALLING = ("nearest", "random")
+DATASET_BREAKERS = ("nearest", "random")
 """Breakers that need a data set of the shape."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What a soak is made of. Hit k depends on these and (seed, k) alone."""
+class SoakOptions:
+    """Options of a soak. Hit k depends on them and (seed, k) alone."""
 
     shapes: tuple[str, ...] = ()
-    """Built-in names or mesh files; none: every built-in shape."""
+    """Built-in names or mesh files; empty: every built-in shape."""
     breakers: tuple[str, ...] = ()
-    """None: every one that is ready for at least one of the shapes."""
+    """Empty: every breaker that can break at least one of the shapes."""
     seed: int = 0
     resolution: int | None = None
-    """Voxels along each axis; None: `USUAL`, and `SLOW` for the physical breaker."""
+    """Voxels along each axis; None: `DEFAULT_RESOLUTION`, and `PHYSICAL_RESOLUTION` for the physical breaker."""
     engine: str = "rapier"
     repair: bool = False
-    """Mend meshes that are not closed."""
+    """Repair open meshes."""
     model: Path | None = None
-    """Trained weights of the shape that they fit."""
+    """Trained weights, used for the shape that they fit."""
     data: Path | None = None
-    """Folder that holds a data set for each shape, by its name: nearest and random recall them."""
+    """Folder with a data set for each shape, by its name, for nearest and random."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", tuple(_source(name) for name in self.shapes or BUILTIN))
@@ -67,56 +67,56 @@ class Case:
     number: int
     """k"""
     seed: int
-    """Of everything that is random in it. Hit k of seed s is hit 0 of seed s + k, so that one number repeats it."""
+    """Seed of everything random in it. Hit k of seed s is hit 0 of seed s + k, so one number repeats it."""
     shape: str
     """Built-in name or mesh file."""
     breaker: str
     resolution: int
 
-    def command(self, settings: Settings) -> str:
-        """What repeats this hit and no other."""
+    def command(self, options: SoakOptions) -> str:
+        """The command that repeats this hit alone."""
         words = ["deepfracture", "soak", self.shape, "--breakers", self.breaker, "--seed", str(self.seed)]
         words += ["--hits", "1"]
         for name in ("resolution", "model", "data"):
-            value = getattr(settings, name)
+            value = getattr(options, name)
             words += [] if value is None else [f"--{name}", str(value)]
-        words += [] if settings.engine == "rapier" else ["--engine", settings.engine]
-        words += ["--repair"] if settings.repair else []
+        words += [] if options.engine == "rapier" else ["--engine", options.engine]
+        words += ["--repair"] if options.repair else []
         return shlex.join(words)
 
 
-def numbered(settings: Settings, hits: int) -> Iterator[Case]:
-    """The first `hits` hits. However many they are, breakers have their shares of them, and of those of a breaker
-    each shape has as many as the others, give or take one.
+def first_cases(options: SoakOptions, hits: int) -> Iterator[Case]:
+    """The first `hits` cases. Any number of them is divided among the breakers by `SHARES`, and the cases of a breaker
+    evenly among the shapes, to within one.
 
     Raises:
-        BadInput: A shape cannot be used, or a breaker is ready for none of them.
+        BadInput: A shape cannot be used, or a breaker can break none of them.
     """
-    return islice(_cases(settings, ready(settings)), hits)
+    return islice(_cases(options, ready(options)), hits)
 
 
-def case(settings: Settings, number: int) -> Case:
-    """Hit `number`."""
-    return next(islice(numbered(settings, number + 1), number, None))
+def case(options: SoakOptions, number: int) -> Case:
+    """Case `number`."""
+    return next(islice(first_cases(options, number + 1), number, None))
 
 
-def ready(settings: Settings) -> dict[str, tuple[str, ...]]:
-    """For each breaker the shapes that it can break. BadInput as in `numbered`."""
-    for source in settings.shapes:
+def ready(options: SoakOptions) -> dict[str, tuple[str, ...]]:
+    """The shapes that each breaker can break. BadInput as in `first_cases`."""
+    for source in options.shapes:
         if source not in BUILTIN:
-            load_shape(source, repair=settings.repair)  # complains of what cannot be used
-    fits = {source: _breakers(source, settings) for source in settings.shapes}
-    wanted = settings.breakers or tuple(name for name in SHARES if any(name in fit for fit in fits.values()))
+            load_shape(source, repair=options.repair)  # raises if it cannot be used
+    fits = {source: _breakers(source, options) for source in options.shapes}
+    wanted = options.breakers or tuple(name for name in SHARES if any(name in fit for fit in fits.values()))
     found = {name: tuple(source for source, fit in fits.items() if name in fit) for name in wanted}
     for name, sources in found.items():
         if not sources:
-            need = "--data FOLDER" if name in RECALLING else "--model FILE"
-            raise BadInput(f"breaker {name!r} is ready for none of {', '.join(settings.shapes)}; give {need}")
+            need = "--data FOLDER" if name in DATASET_BREAKERS else "--model FILE"
+            raise BadInput(f"breaker {name!r} is ready for none of {', '.join(options.shapes)}; give {need}")
     return found
 
 
-def _cases(settings: Settings, shapes: dict[str, tuple[str, ...]]) -> Iterator[Case]:
-    """Each turn goes to the breaker that lags furthest behind its share."""
+def _cases(options: SoakOptions, shapes: dict[str, tuple[str, ...]]) -> Iterator[Case]:
+    """Smooth weighted round-robin: each case goes to the breaker that lags furthest behind its share."""
     total = sum(SHARES[name] for name in shapes)
     credit, turns, number = dict.fromkeys(shapes, 0), dict.fromkeys(shapes, 0), 0
     while True:
@@ -124,8 +124,8 @@ def _cases(settings: Settings, shapes: dict[str, tuple[str, ...]]) -> Iterator[C
         breaker = max(credit, key=lambda name: credit[name])
         credit[breaker] -= total
         sources = shapes[breaker]
-        resolution = settings.resolution or (SLOW if breaker == "physical" else USUAL)
-        yield Case(number, settings.seed + number, sources[turns[breaker] % len(sources)], breaker, resolution)
+        resolution = options.resolution or (PHYSICAL_RESOLUTION if breaker == "physical" else DEFAULT_RESOLUTION)
+        yield Case(number, options.seed + number, sources[turns[breaker] % len(sources)], breaker, resolution)
         turns[breaker] += 1
         number += 1
 
@@ -134,26 +134,26 @@ def _source(name: str) -> str:
     return plain_name(name) if plain_name(name) in BUILTIN else name
 
 
-def model_of(source: str, settings: Settings) -> Path | None:
+def model_of(source: str, options: SoakOptions) -> Path | None:
     """Trained weights for a shape."""
-    if settings.model is not None and load_model(settings.model).matches_shape(
-        load_shape(source, repair=settings.repair)
+    if options.model is not None and load_model(options.model).matches_shape(
+        load_shape(source, repair=options.repair)
     ):
-        return settings.model
+        return options.model
     return embedded_model(source) if source in BUILTIN else None
 
 
-def data_of(source: str, settings: Settings) -> Path | None:
+def data_of(source: str, options: SoakOptions) -> Path | None:
     """The data set of a shape."""
-    folder = None if settings.data is None else settings.data / Path(source).stem
+    folder = None if options.data is None else options.data / Path(source).stem
     return folder if folder is not None and folder.is_dir() else None
 
 
-def _breakers(source: str, settings: Settings) -> set[str]:
-    """Those that can break a shape."""
+def _breakers(source: str, options: SoakOptions) -> set[str]:
+    """The breakers that can break a shape."""
     found: set[str] = set(BREAKERS)
-    if model_of(source, settings) is None:
+    if model_of(source, options) is None:
         found.remove("learned")
-    if data_of(source, settings) is None:
-        found -= set(RECALLING)
+    if data_of(source, options) is None:
+        found -= set(DATASET_BREAKERS)
     return found

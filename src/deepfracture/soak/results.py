@@ -1,4 +1,4 @@
-"""The file of a soak, a line of JSON a hit, and what it says."""
+"""Results of a soak: a file with a line of JSON per hit, and their summary."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 
 from deepfracture._version import __version__
-from deepfracture.soak.plan import SHARES, Case, Settings
+from deepfracture.soak.plan import SHARES, Case, SoakOptions
 from deepfracture.types import BadInput
 
 Row = dict[str, Any]
 FILE = "hits.jsonl"
-WARM = 100
-"""Hits, at least, before a process is warm: it must have met every shape with every breaker, and keeps those."""
-GROWTH = 50.0
-"""Memory that a process may take more at the end than when it was warm [MB]."""
+WARM_UP = 100
+"""Least number of hits before a process is warm; it must also have cached every shape with every breaker."""
+MEMORY_GROWTH = 50.0
+"""Largest growth of a process's memory after its warm-up [MB]."""
 SLOWEST = 5
-"""Slowest hits that are named."""
+"""Number of slowest hits in the summary."""
 HEAD = (
     "",
     "hits",
@@ -40,18 +40,18 @@ HEAD = (
 
 
 class Results:
-    """Rows in memory and, where there is a folder, in a file that only grows: each line is on the disk, whole, before
-    the next begins. What a kill cut short is dropped when it is opened again."""
+    """Rows in memory and, given a folder, in an append-only file: each line is on the disk before the next is written.
+    A line cut short by a kill is dropped when the file is reopened."""
 
-    def __init__(self, settings: Settings, folder: Path | None) -> None:
-        """BadInput if the folder holds a soak of other settings, or something else under that name."""
+    def __init__(self, options: SoakOptions, folder: Path | None) -> None:
+        """BadInput if the folder holds a soak of other options, or another file of that name."""
         self.rows: list[Row] = []
         self._file: int | None = None
         if folder is None:
             return
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE
-        head = {"settings": json.loads(json.dumps(asdict(settings), default=str)), "version": __version__}
+        head = {"settings": json.loads(json.dumps(asdict(options), default=str)), "version": __version__}
         lines = _whole_lines(path)
         if lines:
             _same(path, lines[0].get("settings"), head["settings"])
@@ -69,7 +69,7 @@ class Results:
 
     @property
     def done(self) -> set[int]:
-        """Numbers of the hits that are there."""
+        """Numbers of the finished hits."""
         return {row["number"] for row in self.rows}
 
     def add(self, row: Row) -> None:
@@ -81,12 +81,12 @@ class Results:
         assert self._file is not None
         line = (json.dumps(row) + "\n").encode()
         if os.write(self._file, line) != len(line):
-            raise OSError("the disk is full; run the same command again to go on")
+            raise OSError("the disk is full; rerun the same command to resume")
         os.fsync(self._file)
 
 
 def _whole_lines(path: Path) -> list[Row]:
-    """What the file holds, cut off behind its last whole line."""
+    """The lines of the file, which is truncated after its last complete one."""
     if not path.exists():
         return []
     content = path.read_bytes()
@@ -102,38 +102,38 @@ def _whole_lines(path: Path) -> list[Row]:
 def _same(path: Path, had: Any, have: Row) -> None:
     if not isinstance(had, dict):
         raise BadInput(f"{path}: not the results of a soak; give another folder")
-    for name in (field.name for field in fields(Settings)):
+    for name in (field.name for field in fields(SoakOptions)):
         if had.get(name) != have[name]:
             raise BadInput(f"{path}: made with {name} {had.get(name)}, not {have[name]}; give another folder")
 
 
 def failed(rows: Iterable[Row]) -> list[Row]:
-    """The hits with something wrong, in order."""
+    """The failed hits, in order."""
     return sorted((row for row in rows if row["failures"]), key=lambda row: row["number"])
 
 
 def growth(rows: Sequence[Row]) -> float | None:
-    """By how much the memory of a process grew from its warm start to its end [MB]: medians of the first and the
-    last quarter of its hits after that. The most of all processes; None while none of them has done enough."""
+    """Growth of memory after the warm-up [MB]: median of the last quarter of a process's hits less that of the first
+    quarter. The largest of all processes; None if none has enough hits."""
     found = []
     for worker in dict.fromkeys(row.get("worker") for row in rows):
         own = [row for row in rows if row.get("worker") == worker and "resident_mb" in row]
         met = [(row["shape"], row["breaker"]) for row in own]
-        warm = max([WARM, *(met.index(pair) + 1 for pair in set(met))])
+        warm = max([WARM_UP, *(met.index(pair) + 1 for pair in set(met))])
         sizes = [row["resident_mb"] for row in own[warm:]]
         quarter = len(sizes) // 4
-        if quarter >= WARM // 4:
+        if quarter >= WARM_UP // 4:
             found.append(float(np.median(sizes[-quarter:]) - np.median(sizes[:quarter])))
     return max(found, default=None)
 
 
 def sound(rows: Sequence[Row]) -> bool:
-    """Whether nothing at all is wrong."""
-    return not failed(rows) and (growth(rows) or 0.0) <= GROWTH
+    """Whether no hit failed and memory does not grow."""
+    return not failed(rows) and (growth(rows) or 0.0) <= MEMORY_GROWTH
 
 
-def summary(rows: Sequence[Row], settings: Settings) -> str:
-    """The soak in Markdown: by breaker, by shape, the slowest hits, every failure with what repeats it."""
+def summary(rows: Sequence[Row], options: SoakOptions) -> str:
+    """The soak in Markdown: by breaker, by shape, the slowest hits, and each failure with the command to repeat it."""
     if not rows:
         return "No hit yet.\n"
     kinds = Counter(kind for row in rows for kind in row["failures"])
@@ -147,14 +147,14 @@ def summary(rows: Sequence[Row], settings: Settings) -> str:
         "Memory: " + ("too few hits to tell." if grown is None else f"{grown:+.0f} MB from the warm start to the end."),
         "",
         _table(rows, "breaker", tuple(SHARES)),
-        _table(rows, "shape", settings.shapes),
+        _table(rows, "shape", options.shapes),
         "Slowest:",
         "",
-        *(_named(row, settings) for row in sorted(rows, key=lambda row: -row["seconds"])[:SLOWEST]),
+        *(_named(row, options) for row in sorted(rows, key=lambda row: -row["seconds"])[:SLOWEST]),
         "",
         "Failed:" if failed(rows) else "No hit failed.",
         "",
-        *(_named(row, settings) for row in failed(rows)),
+        *(_named(row, options) for row in failed(rows)),
     ]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -186,11 +186,11 @@ def _line(rows: Sequence[Row]) -> list[str]:
     return [*counts, *times, breaking, at("processor_seconds", 0.5), at("processor_seconds", 1.0)]
 
 
-def _named(row: Row, settings: Settings) -> str:
+def _named(row: Row, options: SoakOptions) -> str:
     one = Case(**{field.name: row[field.name] for field in fields(Case)})
     wrong = _counted(row["failures"])
     told = "; ".join(word for word in (wrong, row.get("detail", "")) if word)
-    return f"- {row['seconds']:.1f} s" + (f", {told}" if told else "") + f": `{one.command(settings)}`"
+    return f"- {row['seconds']:.1f} s" + (f", {told}" if told else "") + f": `{one.command(options)}`"
 
 
 def _counted(kinds: dict[str, int] | Counter[str]) -> str:

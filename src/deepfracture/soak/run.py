@@ -1,4 +1,4 @@
-"""Many hits in processes of their own: one that hangs or dies costs its hit and no other."""
+"""Hits in worker processes: one that hangs or dies costs its hit alone."""
 
 from __future__ import annotations
 
@@ -19,46 +19,46 @@ from typing import TYPE_CHECKING
 
 from deepfracture.runtime.parallel import single_threaded_processes
 from deepfracture.runtime.progress import disable_progress, log, track
-from deepfracture.soak.hit import Shop, check, hit, play, prepare
-from deepfracture.soak.plan import Case, Settings, numbered
+from deepfracture.soak.hit import ShapesAndBreakers, check, hit, play, prepare
+from deepfracture.soak.plan import Case, SoakOptions, first_cases
 from deepfracture.soak.results import Results, Row
 from deepfracture.types import BadInput
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
 
-PREPARING = 600.0
-"""Time that a shape and a breaker may take to get ready, and a check to be done [s]: not the hit's fault."""
+PREPARE_LIMIT = 600.0
+"""Longest time for preparing a shape and a breaker, and for the checks [s]; not part of the hit."""
 STACK_LINES = 30
-"""Of what a hanging process was doing."""
+"""Lines kept of the stack of a hanging process."""
 
 
 def soak(
-    settings: Settings, hits: int, *, out: Path | None = None, workers: int = 1, limit: float = 120.0
+    options: SoakOptions, hits: int, *, out: Path | None = None, workers: int = 1, limit: float = 120.0
 ) -> list[Row]:
-    """The rows of hits 0 .. `hits` - 1; those that the folder `out` holds are not repeated.
+    """The rows of hits 0 .. `hits` - 1; those stored in the folder `out` are not repeated.
 
     Args:
-        out: Where each row is kept as soon as it is known; None: nowhere.
-        workers: Processes.
-        limit: Longest time for a hit [s]; what takes longer has failed.
+        out: Folder where each row is stored as soon as it is known; None: not stored.
+        workers: Number of processes.
+        limit: Longest time for a hit [s]; a slower one fails.
 
     Raises:
-        BadInput: A value makes no sense, a shape cannot be used, or `out` holds a soak of other settings.
+        BadInput: A value is out of range, a shape cannot be used, or `out` holds a soak of other options.
     """
     if hits < 1 or workers < 1:
         raise BadInput(f"hits and workers must be at least 1, got {hits} and {workers}")
     if not limit > 0:
         raise BadInput(f"limit must be positive, got {limit}")
-    cases = list(numbered(settings, hits))
-    with Results(settings, out) as results:
+    cases = list(first_cases(options, hits))
+    with Results(options, out) as results:
         done = results.done
         missing = [one for one in cases if one.number not in done]
-        for row in track(_rows(settings, missing, min(workers, len(missing)), limit), name="hits", total=len(missing)):
+        for row in track(_rows(options, missing, min(workers, len(missing)), limit), name="hits", total=len(missing)):
             results.add(row)
             if row["failures"]:
                 one = cases[row["number"]]
-                log.warning("%s %s: repeat it with %s", _kinds(row), row.get("detail", ""), one.command(settings))
+                log.warning("%s %s: repeat it with %s", _kinds(row), row.get("detail", ""), one.command(options))
         return [row for row in results.rows if row["number"] < hits]
 
 
@@ -66,15 +66,15 @@ def _kinds(row: Row) -> str:
     return ", ".join(row["failures"])
 
 
-def _rows(settings: Settings, cases: list[Case], workers: int, limit: float) -> Iterator[Row]:
-    """A row a case, as they come."""
+def _rows(options: SoakOptions, cases: list[Case], workers: int, limit: float) -> Iterator[Row]:
+    """The row of each case, as they are completed."""
     waiting: queue.SimpleQueue[Case] = queue.SimpleQueue()
     for one in cases:
         waiting.put(one)
     found: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
     stopped = threading.Event()
     with single_threaded_processes():
-        seats = [_Seat(settings, limit, waiting, found, stopped) for _ in range(workers)]
+        processes = [_Worker(options, limit, waiting, found, stopped) for _ in range(workers)]
         try:
             for _ in cases:
                 row = found.get()
@@ -83,22 +83,22 @@ def _rows(settings: Settings, cases: list[Case], workers: int, limit: float) -> 
                 yield row
         finally:
             stopped.set()
-            for seat in seats:
-                seat.close()
+            for process in processes:
+                process.close()
 
 
-class _Seat:
-    """A worker process and the thread that hands it one case after another; a new one where it had to be ended."""
+class _Worker:
+    """A worker process and the thread that feeds it cases; the process is restarted after a kill."""
 
     def __init__(
         self,
-        settings: Settings,
+        options: SoakOptions,
         limit: float,
         waiting: queue.SimpleQueue[Case],
         found: queue.SimpleQueue[Row | BaseException],
         stopped: threading.Event,
     ) -> None:
-        self._settings, self._limit = settings, limit
+        self._options, self._limit = options, limit
         self._waiting, self._found, self._stopped = waiting, found, stopped
         self._process: SpawnProcess | None = None
         self._stack = Path(tempfile.mkstemp(prefix="deepfracture-soak-", suffix=".stack")[1])
@@ -106,7 +106,7 @@ class _Seat:
         self._thread.start()
 
     def close(self) -> None:
-        """End the process. Returns when the thread has ended."""
+        """End the process and wait for the thread."""
         self._kill()
         self._thread.join()
         self._kill()
@@ -122,7 +122,7 @@ class _Seat:
                 row = self._one(one)
                 if not self._stopped.is_set():
                     self._found.put(row)
-        except BaseException as problem:  # the main thread waits for a row: let it know
+        except BaseException as problem:  # raised by the main thread, which waits for a row
             self._found.put(problem)
 
     def _one(self, one: Case) -> Row:
@@ -131,7 +131,7 @@ class _Seat:
         row: Row = {**asdict(one), "worker": process.pid}
         try:
             self._pipe.send(one)
-            for patience in (PREPARING, self._limit, PREPARING):
+            for patience in (PREPARE_LIMIT, self._limit, PREPARE_LIMIT):
                 began = time.perf_counter()
                 if not self._pipe.poll(patience):
                     return row | self._ended("limit", f"more than {patience:g} s", began)
@@ -144,7 +144,7 @@ class _Seat:
         raise AssertionError("a worker says no more than that")
 
     def _ended(self, kind: str, detail: str, began: float) -> Row:
-        """What is known of a hit whose process has to go, or has gone."""
+        """The result of a hit whose process is killed or dead."""
         self._kill()
         stack = self._stack.read_text(errors="replace").splitlines()[:STACK_LINES]
         found = {"failures": {kind: 1}, "detail": detail, "seconds": time.perf_counter() - began}
@@ -155,7 +155,7 @@ class _Seat:
         self._stack.write_text("")
         self._pipe, theirs = context.Pipe()
         process = context.Process(
-            target=_work, args=(theirs, self._settings, self._limit, str(self._stack)), daemon=True
+            target=_work, args=(theirs, self._options, self._limit, str(self._stack)), daemon=True
         )
         process.start()
         theirs.close()
@@ -177,23 +177,23 @@ def _reason(code: int | None) -> str:
     return f"the process was killed by signal {-code}"
 
 
-def _work(pipe: Connection, settings: Settings, limit: float, stack: str) -> None:
-    """In a worker: None once a case is prepared and once more when it has happened, then its row."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the parent, who ends this process
-    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
+def _work(pipe: Connection, options: SoakOptions, limit: float, stack: str) -> None:
+    """Main loop of a worker: sends None when a case is prepared, None when it is simulated, then its row."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl+C and ends this process
+    threading.Thread(target=_exit_with, args=(os.getppid(),), daemon=True).start()
     disable_progress()
     log.setLevel("ERROR")
-    shop, known = Shop(settings), set()
+    resources, known = ShapesAndBreakers(options), set()
     with open(stack, "w", encoding="utf-8") as file:
         faulthandler.enable(file)
         while True:
             one = pipe.recv()
             try:
-                ready = prepare(shop, one)
+                ready = prepare(resources, one)
                 if one.breaker not in known:
-                    hit(prepare(shop, one))  # compiles what is not compiled yet: no fault of the hit
+                    hit(prepare(resources, one))  # compiles kernels, which is not part of the hit
                     known.add(one.breaker)
-            except Exception as problem:  # of this case: others need not suffer
+            except Exception as problem:  # of this case alone
                 pipe.send(
                     {"failures": {"prepare": 1}, "detail": f"{type(problem).__name__}: {problem}", "seconds": 0.0}
                 )
@@ -206,8 +206,8 @@ def _work(pipe: Connection, settings: Settings, limit: float, stack: str) -> Non
             pipe.send(check(played))
 
 
-def _leave_with(parent: int) -> None:
-    """End this process when the parent has been killed."""
+def _exit_with(parent: int) -> None:
+    """End this process when the parent is killed."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

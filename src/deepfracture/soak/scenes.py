@@ -1,4 +1,4 @@
-"""Random scenes to hit a shape in: as many ways as a user might."""
+"""Random scenes in which a shape is hit, as varied as those of users."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from deepfracture.types import Floats, Shape
 from deepfracture.world import GRAVITY, STEEL, UPRIGHT, Ball, Floor, Placed, Scene, place_on_floor
 
 FLOOR_SHARE = 0.75
-"""Of the scenes; the others are weightless, where balls come from below as well."""
+"""Share of the scenes with a floor; the others are weightless, where balls come from below as well."""
 FALL_SHARE = 0.2
-"""Of the scenes with a floor: the shape falls, spinning, and no ball need come."""
+"""Share of the scenes with a floor in which the shape falls, spinning, mostly without a ball."""
 SECOND_SHARE = 0.3
-"""Of the scenes with a ball: another one follows."""
+"""Share of the scenes with a ball in which a second one follows."""
 AGAIN_SHARE = 0.3
 """Of the scenes whose breaker can: fragments may break again."""
 SETTLE = (0.4, 1.6)
-"""Shortest and longest time that is simulated after the last ball or body has arrived [s]."""
+"""Shortest and longest simulated time after the last ball or body arrives [s]."""
 SPEEDS = (2.0, 60.0)
 """Slowest and fastest ball [m/s], uniform in the logarithm: most hits are those that just break something."""
 RADII = (0.05, 0.5)
 """Smallest and largest ball [m], uniform in the logarithm."""
 FALLS = (2.0, 15.0)
-"""Slowest and fastest shape that falls [m/s]."""
+"""Slowest and fastest falling shape [m/s]."""
 CLEAR = 0.05
 """Free way between a ball and the sphere around the shape at the start [m]."""
 
@@ -32,10 +32,10 @@ CLEAR = 0.05
 def draw_scene(
     source: str, shape: Shape, rng: np.random.Generator, *, material: str, breaker: str, engine: str
 ) -> Scene:
-    """A scene in which something happens to the shape.
+    """A scene in which the shape is hit.
 
-    It stands, falls or floats, turned any way; a ball of any size and speed comes from anywhere above the floor
-    towards any point of its surface, and perhaps another one; fragments may break again."""
+    It stands, falls or floats in any orientation; a ball of any size and speed comes from anywhere above the floor
+    towards a random point of its surface, perhaps followed by another; fragments may break again."""
     floor = bool(rng.random() < FLOOR_SHARE)
     falls = floor and bool(rng.random() < FALL_SHARE)
     quat = _rotation(rng) if rng.random() < 0.6 else UPRIGHT[str(rng.choice(["x", "y", "z"]))]
@@ -59,7 +59,7 @@ def draw_scene(
 
 
 def _ball(shape: Shape, placed: Placed, rng: np.random.Generator, *, floor: bool, delay: float) -> Ball:
-    """A ball whose straight way leads through a random point of the surface; gravity is made up for."""
+    """A ball whose path leads through a random point of the surface, with compensation of gravity."""
     radius, speed = (float(np.exp(rng.uniform(*np.log(limits)))) for limits in (RADII, SPEEDS))
     goal = np.array(placed.position) + rotation_matrix(np.array(placed.quat_wxyz)) @ _surface_point(shape, rng)
     outwards = rng.normal(size=3)
@@ -76,7 +76,7 @@ def _ball(shape: Shape, placed: Placed, rng: np.random.Generator, *, floor: bool
 
 
 def _flight(ball: Ball) -> float:
-    """How long it takes to the middle of the scene [s]."""
+    """Time of flight to the middle of the scene [s]."""
     return float(np.linalg.norm(ball.position) / np.linalg.norm(ball.velocity))
 
 

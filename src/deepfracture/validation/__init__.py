@@ -2,6 +2,6 @@
 
 from deepfracture.validation.draw import draw
 from deepfracture.validation.report import Curve, Finding, Plot, Report
-from deepfracture.validation.suite import CASES, Case, Outcome, outcomes
+from deepfracture.validation.suite import CASES, Case, CaseResult, run_cases
 
-__all__ = ["CASES", "Case", "Curve", "Finding", "Outcome", "Plot", "Report", "draw", "outcomes"]
+__all__ = ["CASES", "Case", "CaseResult", "Curve", "Finding", "Plot", "Report", "draw", "run_cases"]

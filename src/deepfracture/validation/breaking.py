@@ -51,12 +51,12 @@ def crack_faces(pattern: FracturePattern) -> tuple[Floats, Floats]:
     return np.concatenate(centres), np.concatenate(axes)
 
 
-def pushes(places: Floats, directions: Floats, impulses: Floats) -> Impact:
+def contact_impact(places: Floats, directions: Floats, impulses: Floats) -> Impact:
     """An impact of contacts at `places` (k, 3) along `directions` (k, 3), each against the surface."""
     return Impact(places, directions, impulses, -np.asarray(directions), speed=SPEED, radius=RADIUS)
 
 
-def onsets(body: FractureBody, loads: Loads, seeds: int) -> list[FracturePattern]:
+def onset_patterns(body: FractureBody, loads: Loads, seeds: int) -> list[FracturePattern]:
     """For each seed the pattern under the least load that breaks the body, to a step of `RAISE`."""
     impulse = 1.0
     while _broken(body, loads(impulse), 0) is None:
@@ -93,7 +93,7 @@ def bending_loads(low: float, high: float) -> Loads:
     """Three-point bending in z: I on top of the middle, I / 2 from below at each support."""
     places = np.array([[0.0, 0, high], [SPAN, 0, low], [-SPAN, 0, low]])
     directions = np.array([[0.0, 0, -1], [0, 0, 1], [0, 0, 1]])
-    return lambda impulse: pushes(places, directions, np.array([impulse, impulse / 2, impulse / 2]))
+    return lambda impulse: contact_impact(places, directions, np.array([impulse, impulse / 2, impulse / 2]))
 
 
 def _break_at(pattern: FracturePattern, depth: float) -> float:
@@ -116,7 +116,7 @@ def three_point_bend(resolution: int, seeds: int) -> Report:
     """The bending moment is greatest in the middle: a bar breaks within a tenth of its length from there."""
     body = _bar(resolution)
     loads = bending_loads(-DEPTH / 2, DEPTH / 2)
-    at = np.array([_break_at(pattern, DEPTH) for pattern in onsets(body, loads, seeds)])
+    at = np.array([_break_at(pattern, DEPTH) for pattern in onset_patterns(body, loads, seeds)])
     share = np.abs(at) / LENGTH
     worst = int(share.argmax())
     x = np.array([-1, -SPAN, 0, SPAN, 1])
@@ -143,9 +143,9 @@ def near_shear(resolution: int, seeds: int) -> Report:
     directions = np.array([[0.0, 0, -1], [0, 0, 1]])
 
     def loads(impulse: float) -> Impact:
-        return pushes(places, directions, np.array([impulse, impulse]))
+        return contact_impact(places, directions, np.array([impulse, impulse]))
 
-    at = np.array([_cut_at(pattern, STOUT) for pattern in onsets(body, loads, seeds)])
+    at = np.array([_cut_at(pattern, STOUT) for pattern in onset_patterns(body, loads, seeds)])
     share = np.abs(at) / SHEAR
     worst = int(share.argmax())
     plot = Plot(
@@ -185,7 +185,7 @@ def notched_plate(resolution: int, seeds: int) -> Report:
     spacing = body.grid.spacing
     root = np.array(NOTCH)
     gaps, paths = [], []
-    for pattern in onsets(body, loads, seeds):
+    for pattern in onset_patterns(body, loads, seeds):
         centres, _ = crack_faces(pattern)
         plane = centres[:, [0, 2]]
         gaps.append(float(np.linalg.norm(plane - root, axis=1).min()) / spacing)
@@ -265,6 +265,6 @@ def tougher(resolution: int, seeds: int) -> Report:
 def _hit(body: FractureBody, factor: float) -> Impact:
     """A blow on top of the bar, `factor` times the force at which the criterion is met."""
     place, down = np.array([[0.1, 0, DEPTH / 2]]), np.array([[0.0, 0, -1]])
-    one = critical_stress(pushes(place, down, np.ones(1)), body.material, body.area)
+    one = critical_stress(contact_impact(place, down, np.ones(1)), body.material, body.area)
     # Force goes as I^(3/5): m = I / v and t ~ m^(2/5).
-    return pushes(place, down, np.array([(factor * body.material.strength / one) ** (5 / 3)]))
+    return contact_impact(place, down, np.array([(factor * body.material.strength / one) ** (5 / 3)]))

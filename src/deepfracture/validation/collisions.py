@@ -87,7 +87,7 @@ def load_balance(frequency: int) -> Report:
     )
 
 
-def engines_here() -> tuple[str, ...]:
+def installed_engines() -> tuple[str, ...]:
     """The engines that are installed: Bullet has no wheels for every Python."""
     return tuple(engine for engine in ENGINES if engine != "bullet" or find_spec("pybullet"))
 
@@ -99,7 +99,7 @@ def engine_momentum(speed: float) -> Report:
     mass = mass_properties(shape.mesh, density)
     exact = (1 + RESTITUTION) * speed / (1 / ball + 1 / mass.mass)
     findings = []
-    for engine in engines_here():
+    for engine in installed_engines():
         reported, gained, lost = _square_hit(engine, shape, mass, ball, speed)
         steps = round(0.6 / speed / _step(speed))
         findings += [

@@ -9,7 +9,7 @@ import numpy as np
 from deepfracture.fracture.elastostatics import ElasticBody, Solution, assemble, prepare, solve
 from deepfracture.fracture.interior import stress_at, surface_stress
 from deepfracture.types import Floats, Mesh
-from deepfracture.validation.meshes import box, cylinder, icosphere, inverted, jittered, together
+from deepfracture.validation.meshes import box, concatenated, cylinder, icosphere, inverted, jittered
 from deepfracture.validation.report import Curve, Finding, Plot, Report
 
 POISSON = 0.3
@@ -87,7 +87,7 @@ def hollow_sphere(frequencies: Sequence[tuple[int, int]]) -> Report:
     sizes, errors = [], []
     radii = measured = np.empty(0)
     for outer, inner in frequencies:
-        body = prepare(together(icosphere(outer), inverted(icosphere(inner, 0.5))), POISSON)
+        body = prepare(concatenated(icosphere(outer), inverted(icosphere(inner, 0.5))), POISSON)
         cavity = np.linalg.norm(body.panels.centres, axis=1) < 0.75
         solution = solve(body, np.where(cavity[:, None], -body.panels.normals, 0.0))
         inside = points_inside(1.0, 200)

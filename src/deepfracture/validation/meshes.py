@@ -90,7 +90,7 @@ def jittered(mesh: Mesh, amount: float, rng: np.random.Generator) -> Mesh:
     return Mesh(mesh.vertices + rng.uniform(-amount, amount, mesh.vertices.shape), mesh.faces)
 
 
-def together(*meshes: Mesh) -> Mesh:
+def concatenated(*meshes: Mesh) -> Mesh:
     """Several shells as one mesh."""
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     vertices = np.concatenate([mesh.vertices for mesh in meshes])

@@ -21,7 +21,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CaseResult:
     """A case that has been run."""
 
     name: str
@@ -79,9 +79,9 @@ CASES: Mapping[str, Case] = MappingProxyType(
 )
 
 
-def outcomes(*, quick: bool) -> Iterator[Outcome]:
+def run_cases(*, quick: bool) -> Iterator[CaseResult]:
     """Run every case, one after the other."""
     for name, case in CASES.items():
         start = time.perf_counter()
         report = case.quick() if quick else case.full()
-        yield Outcome(name, report, time.perf_counter() - start)
+        yield CaseResult(name, report, time.perf_counter() - start)

@@ -137,7 +137,7 @@ def test_statistics_find_what_rises_with_the_impulse(tmp_path: Path) -> None:
         executor=Local(1), make_simulator=collide,
     )  # fmt: skip
     collision_statistics(datasets=(tmp_path / "set",), small=0.9, reference=tmp_path, docs=tmp_path)
-    about = json.loads((tmp_path / "statistics.json").read_text())["shapes"]["bar"]
+    about = json.loads((tmp_path / "reports" / "statistics.json").read_text())["shapes"]["bar"]
     assert about["collisions"] == 12
     assert about["broke"] < 12
     assert about["fragments"][0] == 1

@@ -18,7 +18,7 @@ from deepfracture.geometry.intersect import (
     self_intersections,
 )
 from deepfracture.types import BadInput, Mesh
-from deepfracture.validation.meshes import box, icosphere, together
+from deepfracture.validation.meshes import box, concatenated, icosphere
 
 CUBE = box((1, 1, 1), (3, 3, 3))
 PLATE = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
@@ -44,23 +44,23 @@ def test_sound_surfaces_do_not_cross_themselves(mesh: Mesh) -> None:
 
 def test_two_cubes_that_run_into_each_other_cross_each_other_only() -> None:
     shift = np.array([0.41, 0.37, 0.33])
-    found = self_intersections(turned(together(CUBE, CUBE.moved(1.0, shift))))
+    found = self_intersections(turned(concatenated(CUBE, CUBE.moved(1.0, shift))))
     n = len(CUBE.faces)
     assert len(found) > 0
     assert (found[:, 0] < n).all()
     assert (found[:, 1] >= n).all()
     assert (np.diff(found[:, 0]) >= 0).all()
-    apart = self_intersections(turned(together(CUBE, CUBE.moved(1.0, [1.2, 0, 0]))))
+    apart = self_intersections(turned(concatenated(CUBE, CUBE.moved(1.0, [1.2, 0, 0]))))
     assert len(apart) == 0
 
 
 def test_cubes_face_to_face_overlap_and_corner_to_corner_do_not() -> None:
     n = len(CUBE.faces)
-    beside = self_intersections(turned(together(CUBE, CUBE.moved(1.0, [1.0, 0, 0]))))
+    beside = self_intersections(turned(concatenated(CUBE, CUBE.moved(1.0, [1.0, 0, 0]))))
     assert len(beside) >= 18  # a side has 18 faces, each has its double
     assert (beside[:, 0] < n).all() and (beside[:, 1] >= n).all()
-    assert len(self_intersections(turned(together(CUBE, CUBE.moved(1.0, [1.0, 1.0, 1.0]))))) == 0
-    assert len(self_intersections(turned(together(CUBE, CUBE.moved(1.0, [1.0, 1.0, 0]))))) == 0
+    assert len(self_intersections(turned(concatenated(CUBE, CUBE.moved(1.0, [1.0, 1.0, 1.0]))))) == 0
+    assert len(self_intersections(turned(concatenated(CUBE, CUBE.moved(1.0, [1.0, 1.0, 0]))))) == 0
 
 
 def test_a_folded_strip_overlaps_only_when_it_is_folded_flat() -> None:
@@ -94,7 +94,7 @@ def test_a_pinched_cone_touches_itself_and_a_pushed_one_crosses() -> None:
         faces = [(0, 1 + i, 1 + (i + 1) % 7) for i in range(7)] + [(8, 1 + (i + 1) % 7, 1 + i) for i in range(7)]
         cone = Mesh(np.concatenate([[(0, 0, 0)], ring, [(0, 0, 1)]]), faces)
         other = Mesh(cone.vertices * [1, 1, -1] + [0.01 * overlap, 0.02 * overlap, overlap], cone.faces[:, ::-1])
-        return turned(together(cone, other))
+        return turned(concatenated(cone, other))
 
     assert len(self_intersections(cones(0.0))) == 0
     assert len(self_intersections(cones(TOUCH_TOL / 4))) == 0

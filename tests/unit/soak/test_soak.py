@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 
 from deepfracture.cli import main
-from deepfracture.soak import Settings, case, numbered, soak, summary
-from deepfracture.soak.hit import Prepared, Shop, Watched, hit, prepare
+from deepfracture.soak import SoakOptions, case, first_cases, soak, summary
+from deepfracture.soak.hit import PreparedHit, ShapesAndBreakers, TimedBreaker, hit, prepare
 from deepfracture.soak.plan import SHARES, ready
-from deepfracture.soak.results import FILE, GROWTH, WARM, growth, sound
+from deepfracture.soak.results import FILE, MEMORY_GROWTH, WARM_UP, growth, sound
 from deepfracture.types import BadInput, Fragment, Fragments, Mesh
 from deepfracture.world.floor_penetration import PENETRATION_SLOP
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
-FAST = Settings(("bar", "letter_a"), ("voronoi",), seed=5, resolution=32)
+FAST = SoakOptions(("bar", "letter_a"), ("voronoi",), seed=5, resolution=32)
 PASSING = {"seconds", "break_seconds", "processor_seconds", "resident_mb", "worker", "number"}
 """What is not the same when a hit is repeated."""
 
@@ -55,12 +55,12 @@ def soaked(tmp_path_factory):
 
 
 def test_every_prefix_is_balanced_over_breakers_and_shapes():
-    settings = Settings(breakers=("learned", "voronoi", "cvd", "physical"))
-    shapes = ready(settings)
+    options = SoakOptions(breakers=("learned", "voronoi", "cvd", "physical"))
+    shapes = ready(options)
     total = sum(SHARES[name] for name in shapes)
-    assert set(shapes["learned"]) < set(shapes["voronoi"]) == set(settings.shapes)
-    cases = list(numbered(settings, 300))
-    assert [one.number for one in cases] == list(range(300)) and case(settings, 123) == cases[123]
+    assert set(shapes["learned"]) < set(shapes["voronoi"]) == set(options.shapes)
+    cases = list(first_cases(options, 300))
+    assert [one.number for one in cases] == list(range(300)) and case(options, 123) == cases[123]
     for n in (20, 77, 300):
         for name in shapes:
             own = [one.shape for one in cases[:n] if one.breaker == name]
@@ -116,28 +116,28 @@ def test_what_takes_too_long_is_a_failure_that_says_where_it_was(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def shop():
-    return Shop(FAST)
+def resources():
+    return ShapesAndBreakers(FAST)
 
 
-def broken(shop, number, breaker=None):
+def broken(resources, number, breaker=None):
     """A hit that may be spoilt."""
-    begun = prepare(shop, case(FAST, number))
-    return Prepared(begun.case, begun.scene, begun.shape, Watched(breaker or begun.breaker.breaker))
+    begun = prepare(resources, case(FAST, number))
+    return PreparedHit(begun.case, begun.scene, begun.shape, TimedBreaker(breaker or begun.breaker.breaker))
 
 
 @pytest.fixture(scope="module")
-def number(shop):
+def number(resources):
     """Of a hit over a floor that breaks something."""
     for k in range(40):
-        ready = prepare(shop, case(FAST, k))
+        ready = prepare(resources, case(FAST, k))
         if ready.scene.floor is not None and hit(ready).get("breaks"):
             return k
     raise LookupError
 
 
-def test_an_open_fragment_and_a_lost_one_are_noticed(shop, number):
-    usual = shop.breaker(case(FAST, number), shop.material(case(FAST, number), np.random.default_rng(0)))
+def test_an_open_fragment_and_a_lost_one_are_noticed(resources, number):
+    usual = resources.breaker(case(FAST, number), resources.material(case(FAST, number), np.random.default_rng(0)))
 
     def torn(shape, impact, rng):
         found = usual(shape, impact, rng)
@@ -152,13 +152,13 @@ def test_an_open_fragment_and_a_lost_one_are_noticed(shop, number):
         return found and Fragments(found.pieces[1:])
 
     shape = case(FAST, number).shape
-    assert hit(broken(shop, number))["failures"] == {}
-    assert hit(broken(shop, number, torn))["failures"]["torn"] >= 1
-    row = hit(broken(shop, number, lost))
+    assert hit(broken(resources, number))["failures"] == {}
+    assert hit(broken(resources, number, torn))["failures"]["torn"] >= 1
+    row = hit(broken(resources, number, lost))
     assert row["failures"]["volume"] >= 1 and row["volume_error"] > 1e-3 and row["shape"] == shape
 
 
-def test_what_falls_through_the_floor_or_out_of_the_world_is_noticed(shop, number, monkeypatch):
+def test_what_falls_through_the_floor_or_out_of_the_world_is_noticed(resources, number, monkeypatch):
     from deepfracture.world import Live
     from deepfracture.world.recorder import Recorder
 
@@ -173,7 +173,7 @@ def test_what_falls_through_the_floor_or_out_of_the_world_is_noticed(shop, numbe
 
     with monkeypatch.context() as patch:
         patch.setattr(Recorder, "recording", sunk)
-        row = hit(broken(shop, number))
+        row = hit(broken(resources, number))
         assert row["failures"]["through floor"] >= 2 and row["deepest"] > 1 and "centre of mass at -" in row["detail"]
     where = Live.at
 
@@ -181,15 +181,15 @@ def test_what_falls_through_the_floor_or_out_of_the_world_is_noticed(shop, numbe
         return [pose._replace(position=pose.position * np.nan) if frame > 3 else pose for pose in where(self, frame)]
 
     monkeypatch.setattr(Live, "at", nowhere)
-    row = hit(broken(shop, number))
+    row = hit(broken(resources, number))
     assert row["failures"] == {"pose": 1} and "frame 4" in row["detail"]
 
 
-def test_a_crash_is_a_row_with_its_traceback(shop, number):
+def test_a_crash_is_a_row_with_its_traceback(resources, number):
     def crash(shape, impact, rng):
         raise ZeroDivisionError("of a kind")
 
-    row = hit(broken(shop, number, crash))
+    row = hit(broken(resources, number, crash))
     assert row["failures"] == {"crash": 1} and row["detail"] == "ZeroDivisionError: of a kind"
     assert "in crash" in row["traceback"]
 
@@ -199,10 +199,10 @@ def test_growing_memory_is_noticed_once_a_process_is_warm():
         base = {"shape": "bar", "breaker": "voronoi", "resolution": 32, "failures": {}, "seconds": 1.0, "worker": 7}
         return [base | {"number": k, "seed": k, "resident_mb": size} for k, size in enumerate(sizes)]
 
-    warm = [100.0 + 5 * k for k in range(WARM)]
+    warm = [100.0 + 5 * k for k in range(WARM_UP)]
     flat, steep = rows([*warm, *[600.0] * 200]), rows([*warm, *(600 + np.arange(200.0))])
     assert growth(rows(warm)) is None and growth(flat) == 0 and growth(steep) == pytest.approx(150, abs=2)
-    assert sound(flat) and not sound(steep) and GROWTH < 150
+    assert sound(flat) and not sound(steep) and MEMORY_GROWTH < 150
     assert "+150 MB" in summary(steep, FAST)
     late = rows([*warm, *[600.0] * 100, *[800.0] * 200])
     late[200]["shape"] = "letter_a"  # met for the first time: what is kept for it is no growth
@@ -221,7 +221,7 @@ def test_growing_memory_is_noticed_once_a_process_is_warm():
 )
 def test_what_cannot_be_soaked_is_refused_in_one_line(wrong, said):
     with pytest.raises(BadInput, match=said):
-        soak(Settings(**wrong), 1)
+        soak(SoakOptions(**wrong), 1)
 
 
 @pytest.mark.parametrize(
@@ -240,14 +240,14 @@ def test_what_is_pressed_into_the_floor_does_not_sink_in(shape, breaker, seed):
     """All that a soak of thousands of hits found, by how deep it was then."""
     if isinstance(shape, Path) and not shape.exists():
         pytest.skip("the shared meshes are not here")
-    settings = Settings((str(shape),), (breaker,), seed=seed)
-    row = hit(prepare(Shop(settings), case(settings, 0)))
+    options = SoakOptions((str(shape),), (breaker,), seed=seed)
+    row = hit(prepare(ShapesAndBreakers(options), case(options, 0)))
     assert row["breaks"] and not row["failures"]
     assert row["deepest"] < 1.01 * PENETRATION_SLOP
 
 
 def test_a_contact_that_gives_no_momentum_is_no_blow():
     """Rapier told of a contact of 57 N s between two pieces in flight, neither of which it had slowed."""
-    settings = Settings(("bunny",), ("learned",), seed=10221)
-    row = hit(prepare(Shop(settings), case(settings, 0)))
+    options = SoakOptions(("bunny",), ("learned",), seed=10221)
+    row = hit(prepare(ShapesAndBreakers(options), case(options, 0)))
     assert row["breaks"] and not row["failures"]

@@ -11,7 +11,7 @@ import pytest
 
 from deepfracture.types import BadInput, FracturePattern, Fragment, Fragments, Ints, Mesh, Shape
 from deepfracture.validation.fragments import FragmentReport, _partners, check_fragments
-from deepfracture.validation.meshes import box, inverted, together
+from deepfracture.validation.meshes import box, concatenated, inverted
 
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 VOXEL = 2 / 64
@@ -82,7 +82,7 @@ def test_a_missing_and_a_doubled_face_tear_the_surface() -> None:
 def test_a_pinch_has_two_fans() -> None:
     left, right = halves()
     tip = box((0.1, 0.1, 0.1), (1, 1, 1)).moved(1.0, [-1.05, 0.55, 0.55])
-    both = together(left.mesh, tip)
+    both = concatenated(left.mesh, tip)
     corner, other = at(left, -1, 0.5, 0.5), len(left.mesh.vertices) + int(np.argmax(tip.vertices @ [1, -1, -1]))
     assert both.vertices[corner] == pytest.approx(both.vertices[other])
     source = np.concatenate([left.source, np.full(len(tip.faces), -1)])
@@ -99,7 +99,7 @@ def test_voids_belong_inside() -> None:
     bubble = inverted(box((0.2, 0.2, 0.2), (1, 1, 1)))
 
     def with_bubble(x: float) -> FragmentReport:
-        mesh = together(left.mesh, bubble.moved(1.0, [x, 0, 0]))
+        mesh = concatenated(left.mesh, bubble.moved(1.0, [x, 0, 0]))
         return check([piece(mesh, np.concatenate([left.source, np.full(12, -1)])), right])
 
     inside, outside = with_bubble(-0.5), with_bubble(0.6)
@@ -119,7 +119,7 @@ def test_a_void_may_touch_the_surface_around_it(way: int, stray: int) -> None:
     void = Mesh(np.concatenate([[touching], ends]), np.array([(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)]))
     void = inverted(void) if void.volume > 0 else void
     void = Mesh(void.vertices, np.roll(void.faces, -np.argwhere(void.faces[0] == 0)[0, 0], axis=1))
-    report = check([piece(together(solid, void), np.full(len(solid.faces) + 4, -1))], Shape("box", solid))
+    report = check([piece(concatenated(solid, void), np.full(len(solid.faces) + 4, -1))], Shape("box", solid))
     assert void.faces[0, 0] == 0 and (report.pieces[0].bodies, report.pieces[0].stray) == (1, stray)
 
 
