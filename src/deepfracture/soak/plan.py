@@ -136,9 +136,7 @@ def _source(name: str) -> str:
 
 def model_of(source: str, options: SoakOptions) -> Path | None:
     """Trained weights for a shape."""
-    if options.model is not None and load_model(options.model).matches_shape(
-        load_shape(source, repair=options.repair)
-    ):
+    if options.model is not None and load_model(options.model).matches_shape(load_shape(source, repair=options.repair)):
         return options.model
     return embedded_model(source) if source in BUILTIN else None
 
