@@ -29,7 +29,7 @@ class _Faces(NamedTuple):
 
     corners: Ints
     """Numbers in the list of corners, shape (n, 3)."""
-    face_planes: Floats
+    planes: Floats
     """Outward unit normals, and minus their offsets, shape (n, 4)."""
     alive: NDArray[np.bool_]
     head: Ints
@@ -42,7 +42,7 @@ class _Faces(NamedTuple):
     free_rows: Ints
     """Rows that are free, the next one last."""
     counters: Ints
-    """One past the last row in use; number of spare rows."""
+    """One past the last row in use; number of free rows."""
 
 
 @njit(cache=True, nogil=True)
@@ -138,11 +138,11 @@ def _remove_visible(points, p, faces, ahead, waiting, edges):
 
     Returns (how many wait, how many edges)."""
     x, y, z = points[p, 0], points[p, 1], points[p, 2]
-    corners, face_planes, alive, head, after = faces.corners, faces.planes, faces.alive, faces.head, faces.after
+    corners, planes, alive, head, after = faces.corners, faces.planes, faces.alive, faces.head, faces.after
     seen = np.empty(faces.counters[0], np.int64)
     sees, waiting_count, fresh_count = 0, 0, 0
     for k in range(faces.counters[0]):
-        if alive[k] and face_planes[k, 0] * x + face_planes[k, 1] * y + face_planes[k, 2] * z + face_planes[k, 3] > 0:
+        if alive[k] and planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3] > 0:
             seen[sees] = k
             sees += 1
     for k in seen[:sees]:
@@ -193,12 +193,12 @@ def _joggled(points):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _points_outside(points, face_planes, tolerance):
+def _points_outside(points, planes, tolerance):
     """The points that stand out of any of the planes: all planes at once, so that the loop becomes vectors."""
     x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
     reach = np.full(len(x), -1.0)
-    for k in range(len(face_planes)):
-        a, b, c, d = face_planes[k, 0], face_planes[k, 1], face_planes[k, 2], face_planes[k, 3]
+    for k in range(len(planes)):
+        a, b, c, d = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
         for i in range(len(x)):
             reach[i] = max(reach[i], a * x[i] + b * y[i] + c * z[i] + d)
     return np.flatnonzero(reach > tolerance)
@@ -325,11 +325,11 @@ def _plane(a, b, c, plane):
 @njit(cache=True, nogil=True)
 def _assign_points(points, waiting, fresh, faces, tolerance):
     """Hand each point that waits to the first new face that it stands out from."""
-    face_planes, head, far, farthest, after = faces.planes, faces.head, faces.far, faces.farthest, faces.after
+    planes, head, far, farthest, after = faces.planes, faces.head, faces.far, faces.farthest, faces.after
     for i in waiting:
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         for k in fresh:
-            reach = face_planes[k, 0] * x + face_planes[k, 1] * y + face_planes[k, 2] * z + face_planes[k, 3]
+            reach = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3]
             if reach > tolerance:
                 after[i] = head[k]
                 head[k] = i
