@@ -54,7 +54,7 @@ everywhere; a shape lives in its body frame, two metres long.
 | `simulate`, `train` | [`simulate`](#dfsimulate), [`train`](#dftrain) |
 | `info` | the values themselves: `shape.mesh.bounds`, `len(data)`, `data.max_impulse` ... |
 | `evaluate` | `deepfracture.evaluate.evaluate` |
-| `validate` | `deepfracture.validation.outcomes` |
+| `validate` | `deepfracture.validation.run_cases` |
 | `bench` | `deepfracture.bench.bench` |
 | `export-onnx` | `deepfracture.learn.partition.onnx.export_onnx` of `deepfracture.learn.load_model(FILE)` |
 

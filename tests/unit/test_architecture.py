@@ -102,3 +102,16 @@ def test_importing_the_program_loads_nothing_heavy() -> None:
         "matplotlib",
         "pxr",
     }
+
+
+def test_no_files_import_each_other_in_a_circle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SOURCE.parents[1] / "docs"))
+    from make_map import circles, file_graph
+
+    assert circles(file_graph()) == []
+
+
+def test_imports_are_absolute() -> None:
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            assert not (isinstance(node, ast.ImportFrom) and node.level), f"{path.relative_to(SOURCE)}:{node.lineno}"

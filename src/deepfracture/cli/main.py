@@ -272,7 +272,7 @@ def soak(
     from deepfracture.cli.soak import soak as run
 
     if not run(
-        shapes, hits=hits, breakers=breakers, seed=seed, out=out, workers=workers, limit=limit,
+        hits=hits, out=out, workers=workers, limit=limit, shapes=shapes, breakers=breakers, seed=seed,
         resolution=resolution, engine=engine, model=model, data=data, repair=repair,
     ):  # fmt: skip
         sys.exit(1)
