@@ -191,6 +191,6 @@ def test_faces_round_a_hub_cross_as_all_others_do(spread: float, monkeypatch: py
     mesh = turned(Mesh(points, np.column_stack([np.repeat([0, 1], n), corner])))
     found = self_intersections(mesh)
     assert (found[:, 1] < n).sum() > 20 and (found[:, 0] >= n).sum() > 10 and len(found) > 100
-    monkeypatch.setattr(intersect, "HUB", 10**9)
+    monkeypatch.setattr(intersect, "HUB_VALENCE", 10**9)
     assert np.array_equal(found, self_intersections(mesh))
     assert len(self_intersections(mesh, most=30)) == 30
