@@ -142,7 +142,7 @@ def test_shells_that_overlap_are_united_although_faces_cross() -> None:
 def test_verdicts() -> None:
     broken, refused, failed = Outcome("broken", ""), Outcome("refused", ""), Outcome(FAILED, "")
     assert verdict(broken, broken) == "broken"
-    assert verdict(refused, broken) == "mended, then broken"
+    assert verdict(refused, broken) == "repaired, then broken"
     assert verdict(refused, refused) == "refused"
     assert verdict(broken, failed) == verdict(failed, broken) == FAILED
 

@@ -30,6 +30,7 @@ from deepfracture.learn.distributed import DistributedContext  # noqa: E402
 from deepfracture.learn.published import pix2pix  # noqa: E402
 from deepfracture.learn.published.data import squared_error  # noqa: E402
 from deepfracture.learn.published.model import PublishedModel, build, weight_count  # noqa: E402
+from deepfracture.learn.published.train_step import PublishedTrainStep  # noqa: E402
 
 GRID = Grid(32)
 CLAY = Material("clay", 40e9, 0.2, 2200.0, 28e6, 0.9e6, 10.0)
@@ -95,7 +96,7 @@ def run(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def weights(folder: Path) -> dict[str, np.ndarray]:
-    arrays = read(folder / "checkpoint.safetensors", training.KIND)[0]
+    arrays = read(folder / "checkpoint.safetensors", PublishedTrainStep.checkpoint_kind)[0]
     return {name: value for name, value in arrays.items() if name != "generator"}
 
 
@@ -378,16 +379,14 @@ def test_bad_settings_are_named(dataset: Dataset, tmp_path: Path) -> None:
 def test_the_command_line_trains_every_preset(dataset: Dataset, tmp_path: Path) -> None:
     from deepfracture.cli.learning import train
 
-    train(dataset.path, out=tmp_path / "run", preset="paper", width=0.05, features=2, epochs=1, minutes=None,
-          device="cpu", seed=3)  # fmt: skip
+    options = TrainOptions(preset="paper", width=0.05, features=2, epochs=1, device="cpu", seed=3)
+    train(dataset.path, out=tmp_path / "run", options=options)
     model = load_published(tmp_path / "run" / "model.safetensors", device="cpu")
     assert (model.config.width, model.config.features, model.metadata["seed"]) == (0.05, 2, 3)
     with pytest.raises(BadInput, match="preset must be one of waves, paper, mlp, pix2pix"):
-        train(dataset.path, out=tmp_path, preset="gan", width=1.0, features=1, epochs=1, minutes=None,
-              device="cpu", seed=0)  # fmt: skip
+        train(dataset.path, out=tmp_path, options=TrainOptions(preset="gan", epochs=1, device="cpu"))
     with pytest.raises(BadInput, match="only for the presets"):
-        train(dataset.path, out=tmp_path, preset="waves", width=0.5, features=1, epochs=1, minutes=None,
-              device="cpu", seed=0)  # fmt: skip
+        train(dataset.path, out=tmp_path, options=TrainOptions(preset="waves", width=0.5, epochs=1, device="cpu"))
 
 
 def test_processes_share_every_sample_once() -> None:
