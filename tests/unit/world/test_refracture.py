@@ -85,7 +85,7 @@ def test_scaled_impacts_keep_stress_and_scale_time() -> None:
     own_area = float(np.linalg.norm(PIECE.mesh.area_vectors, axis=1).sum())
     assert critical_stress(small, PLASTER, own_area) == pytest.approx(critical_stress(impact, PLASTER, area))
     (before,), (after,) = contacts(impact, PLASTER), contacts(small, PLASTER)
-    assert after.time == pytest.approx(before.time / s)
+    assert after.duration == pytest.approx(before.duration / s)
     assert after.radius == pytest.approx(before.radius / s)
     assert after.force == pytest.approx(before.force / s**2)
 
